@@ -25,7 +25,7 @@ import drjit as dr
 import numpy as np
 
 from djpt.core.transforms import ScalarTransform4f as T
-from djpt.emitters.light_samplers import CHOICES
+from djpt.emitters.light_samplers import LIGHT_SAMPLERS
 
 __all__ = ["SCENES", "area_lights", "point_lights"]
 
@@ -111,9 +111,9 @@ def rendered(scene: Any, choice: str, spp: int, seed: int) -> tuple[np.ndarray, 
 def errors(scene: Any, rounds: int, reference_spp: int) -> dict[str, tuple[float, float, float]]:
     """Measure, by choice: (RMSE brought to one second, RMSE at equal samples, seconds per render)."""
     reference = np.mean([rendered(scene, "tree", reference_spp // 8, 100 + k)[0] for k in range(8)], axis=0)
-    found: dict[str, list[tuple[float, float]]] = {choice: [] for choice in CHOICES}
+    found: dict[str, list[tuple[float, float]]] = {choice: [] for choice in LIGHT_SAMPLERS}
     for k in range(rounds + 1):
-        for choice in CHOICES:
+        for choice in LIGHT_SAMPLERS:
             image, seconds = rendered(scene, choice, SPP[choice], k)
             if k:  # the first compiles
                 found[choice].append((float(np.sqrt(np.mean((image - reference) ** 2))), seconds))

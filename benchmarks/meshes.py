@@ -158,12 +158,12 @@ def in_process(what: str, file: Path) -> str:
 
 def build_alone(file: Path) -> None:
     """Print the seconds that the BVH of a mesh takes, and the peak of additional memory in MiB."""
-    from djpt.geometry.two_level_bvh import Forest
+    from djpt.geometry.two_level_bvh import TwoLevelBVH
     from djpt.shapes.meshes.mesh_set import MeshSet
 
     meshes = MeshSet([djpt.load_dict(bumpy_sphere(file, True))])
     # What is compiled once and kept on disk doesn't count.
-    Forest(MeshSet([djpt.Mesh("one", [[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])]), [1], [], []).tree()
+    TwoLevelBVH(MeshSet([djpt.Mesh("one", [[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])]), [1], [], []).tree()
     dr.sync_thread()
     before, sizes, done = memory_in_use(), [0.0], threading.Event()
 
@@ -174,7 +174,7 @@ def build_alone(file: Path) -> None:
     watcher = threading.Thread(target=watch)
     watcher.start()
     start = time.perf_counter()
-    Forest(meshes, [1], [], []).tree()
+    TwoLevelBVH(meshes, [1], [], []).tree()
     dr.sync_thread()
     elapsed = time.perf_counter() - start
     done.set()

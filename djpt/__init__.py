@@ -148,9 +148,11 @@ _SUBMODULES = _MODULES_FOR_SCRIPTS
 
 _own_name, _, _own_names = _lazily(__name__)
 
-_HOME = {name: module for module, names in _FOR_SCRIPTS.items() for name in names.split() if name not in _own_names}
+_MODULE_OF = {
+    name: module for module, names in _FOR_SCRIPTS.items() for name in names.split() if name not in _own_names
+}
 
-__all__ = sorted([*_own_names, *_HOME, *_SUBMODULES, "__version__"])
+__all__ = sorted([*_own_names, *_MODULE_OF, *_SUBMODULES, "__version__"])
 
 # The variant is chosen for the process: Mitsuba's modules of one variant are this module.
 sys.modules.update({f"djpt.{name}": sys.modules[__name__] for name in _VARIANT_MODULES})
@@ -174,8 +176,8 @@ def __getattr__(name: str) -> Any:
         return importlib.import_module(_SUBMODULES[name])
     if name in _own_names:
         value = _own_name(name)
-    elif name in _HOME:
-        value = getattr(importlib.import_module(_HOME[name]), name)
+    elif name in _MODULE_OF:
+        value = getattr(importlib.import_module(_MODULE_OF[name]), name)
     else:
         raise AttributeError(f"module 'djpt' has no attribute {name!r}{_hint(name)}")
     globals()[name] = value

@@ -39,7 +39,7 @@ LISTED = 10
 """The largest number of names that a message lists."""
 
 ALIKE = 0.6
-"""The share of common letters, in the same order, above which a name counts as near."""
+"""The fraction of common letters, in the same order, above which a name counts as near."""
 
 
 class DjptError(RuntimeError):

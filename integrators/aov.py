@@ -34,7 +34,7 @@ def pair(v: Vector2f) -> list[Float]:
 def start_distance(scene: SceneView, ray: Ray3f) -> Float:
     """The distance between the camera and the start of its ray."""
     # Without a near plane the ray may be unbounded.
-    return dr.select(scene.near_share > 0, ray.maxt * scene.near_share, 0)
+    return dr.select(scene.near_clip_fraction > 0, ray.maxt * scene.near_clip_fraction, 0)
 
 
 Variable = Callable[[SurfaceInteraction3f, Ray3f], "list[Float]"]

@@ -11,8 +11,8 @@ import drjit as dr
 from djpt.core.records import PreliminaryIntersection3f, Ray3f, Reference, SurfaceInteraction3f
 from djpt.description.plugin import Plugin
 from djpt.description.properties import Properties
-from djpt.integrators.paths.scene_checks import warn_of_blind_spots
-from djpt.integrators.paths.trace_path import walk
+from djpt.integrators.paths.scene_checks import warn_of_unrendered
+from djpt.integrators.paths.trace_path import trace_path
 from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point3f, TensorXf, UInt32
 from djpt.samplers.base import SampleStream
 from djpt.scene.arguments import require_scene
@@ -59,7 +59,7 @@ class Integrator(Plugin):
     follows_media = False
     """True if light can be scattered on the way between surfaces: see `Scene.replace`."""
     measures_distance = False
-    """True if it needs to know how far from the camera rays start: `Scene.near_share`."""
+    """True if it needs to know how far from the camera rays start: `Scene.near_clip_fraction`."""
 
     holds_sums: ClassVar[bool] = False
     """True if its passes go over the whole image, whose sums are held from one to the next."""
@@ -104,7 +104,7 @@ class Integrator(Plugin):
 
     def check_scene(self, scene: Scene, sensor: Sensor) -> None:
         """Warn of what this integrator can't show, or raise `RenderError` if that is all there is."""
-        warn_of_blind_spots(self, scene)
+        warn_of_unrendered(self, scene)
 
     def prepare_scene(self, scene: Scene) -> None:
         """Let the scene compute what this integrator will ask for, and what depends on the values of parameters.
@@ -236,29 +236,29 @@ class PathState:
     """Geometric normal of the previous vertex; None if the choice of emitters doesn't look at it."""
     covered: Bool | None = None
     """True once a vertex was met that isn't a null interface; None in scenes without null interfaces."""
-    aside: Color3f | None = None
+    zero_weight: Color3f | None = None
     """While the derivatives of materials or media are replayed, the factor of each channel that was set aside, or 1:
-    see `carrying`. Else None."""
+    see `weighted`. Else None."""
 
     @property
     def reference(self) -> Reference:
         """The previous vertex as the reference point of light sampling."""
         return Reference(self.p, self.n)
 
-    def carrying(self: State, weight: Color3f, differs: Callable[[], Bool]) -> State:
+    def weighted(self: State, weight: Color3f, differs: Callable[[], Bool]) -> State:
         """The state with its throughput times the weight of a vertex; of `weight` and throughput only values count.
 
         A weight of 0 ends a channel, and what would have come along it is never found; but its product with a
         derivative of the weight may not be 0. So in replays the first weight of each channel that is too small to
-        divide by is set `aside`, instead of being multiplied, where the vertex `differs`: has a weight with
+        divide by becomes its `zero_weight`, instead of being multiplied, where the vertex `differs`: has a weight with
         derivatives, in a direction that could be sampled.
         """
         factor = dr.detach(weight)
-        if self.aside is None or not dr.grad_enabled(weight):
+        if self.zero_weight is None or not dr.grad_enabled(weight):
             return replace(self, throughput=self.throughput * factor)
-        small = (self.aside == 1) & (dr.abs(factor) < SMALL) & differs()
+        small = (self.zero_weight == 1) & (dr.abs(factor) < SMALL) & differs()
         throughput = self.throughput * dr.select(small, 1, factor)
-        return replace(self, throughput=throughput, aside=dr.select(small, factor, self.aside))
+        return replace(self, throughput=throughput, zero_weight=dr.select(small, factor, self.zero_weight))
 
     def restarted(self: State, ended: Bool, fresh: State) -> State:
         """The state `fresh` where a path has `ended`."""
@@ -361,7 +361,7 @@ class PathIntegrator(Integrator):
     def sample(
         self, scene: Scene, sampler: SampleStream, ray: Ray3f, medium: Any = None, active: Bool | bool = True
     ) -> tuple[Color3f, Bool, list[Float]]:
-        parts, valid = walk(self, scene, sampler, ray, active)
+        parts, valid = trace_path(self, scene, sampler, ray, active)
         return parts[0], valid, []
 
 

@@ -14,22 +14,22 @@ from djpt.description.registry import register_integrator
 from djpt.errors import RenderError
 from djpt.integrators.bidirectional.light_paths import LightVertex, departure, is_beam, vertices
 from djpt.integrators.bidirectional.splatting import Sink, SplattingIntegrator
-from djpt.integrators.bidirectional.strategies import MAX_PYRAMID, Ledger, layer_names
+from djpt.integrators.bidirectional.strategies import MAX_PYRAMID, StrategyImages, layer_names
 from djpt.integrators.bidirectional.subpath import (
     CameraHit,
     CameraLane,
     CameraStep,
-    End,
     Lane,
     LightHit,
     LightStep,
+    Subpath,
     balance,
     meeting,
     mis_weight,
     power,
     scaled,
 )
-from djpt.integrators.paths.path_vertex import Place, Scattering, is_half_open, reach
+from djpt.integrators.paths.path_vertex import PathVertex, Scattering, is_half_open, next_vertex
 from djpt.integrators.paths.transmittance import transmittance
 from djpt.integrators.termination import Terminating, first_roulette, roulette
 from djpt.jit.kernels import loop_traced_once, minimum, while_loop, wide
@@ -49,7 +49,7 @@ Light paths have memory for as many vertices, whatever `max_depth` is: a kernel'
 """
 
 LITTLE = 0.25
-"""A share of the light that a camera path has found: rays of connections that bring less aren't worth their time."""
+"""A fraction of the light that a camera path has found: rays of connections that bring less aren't worth their time."""
 
 
 class BidirectionalPath(Terminating, SplattingIntegrator):
@@ -113,10 +113,10 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
     def splat_sample(
         self, scene: Scene, camera: Sensor, sampler: SampleStream, ray: Ray3f, position: Point2f, sink: Sink
     ) -> tuple[Color3f, Bool, list[Float]]:
-        ledger, lanes = Ledger(sink, position, self.strategies), dr.width(ray, sampler)
-        light = self.light_path(scene, camera, sampler, ledger, lanes)
+        strategy_images, lanes = StrategyImages(sink, position, self.strategies), dr.width(ray, sampler)
+        light = self.light_path(scene, camera, sampler, strategy_images, lanes)
         camera_path = CameraLane(
-            end=wide(self.at_camera(scene, camera, ray, ledger.inside), lanes),
+            subpath=wide(self.at_camera(scene, camera, ray, strategy_images.inside), lanes),
             sampler=light.sampler,
             active=dr.full(Bool, self.max_depth != 0, lanes),
             vertices=light.vertices,
@@ -126,19 +126,19 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
         )
 
         def from_camera(lane: CameraLane) -> tuple[CameraLane]:
-            hit = self.camera_hit(scene, lane.end, ray.maxt, lane.covered, lane.sampler, lane.active)
-            t = hit.end.depth + 1
-            radiance = lane.radiance + ledger.weighed(hit.met, hit.weight, UInt32(0), t)
-            if hit.glow is not None:
-                radiance += hit.glow
+            hit = self.camera_hit(scene, lane.subpath, ray.maxt, lane.covered, lane.sampler, lane.active)
+            t = hit.subpath.depth + 1
+            radiance = lane.radiance + strategy_images.weighed(hit.met, hit.weight, UInt32(0), t)
+            if hit.emitted is not None:
+                radiance += hit.emitted
             step = self.camera_step(scene, hit, lane.sampler)
-            radiance += ledger.weighed(step.lit, step.weight, UInt32(1), t)
+            radiance += strategy_images.weighed(step.lit, step.weight, UInt32(1), t)
 
             def connect(i: UInt32, radiance: Color3f, sampler: Any, vertices: Any) -> tuple[UInt32, Color3f, Any, Any]:
                 v = vertices.read(i)
-                way, value, weight = self.connection(scene, hit.end, hit.place, v)
+                way, value, weight = self.connection(scene, hit.subpath, hit.vertex, v)
                 value = self.through(scene, sampler, way, value, weight, radiance)
-                return i + 1, radiance + ledger.weighed(value, weight, v.depth + 1, t), sampler, vertices
+                return i + 1, radiance + strategy_images.weighed(value, weight, v.depth + 1, t), sampler, vertices
 
             count = dr.select(hit.joins, lane.count, 0)
             _, lane.radiance, lane.sampler, lane.vertices = while_loop(
@@ -148,7 +148,7 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
                 label="connections",
             )
             lane.covered |= step.covers
-            lane.end, lane.active = self.after(scene, hit, step, lane.sampler)
+            lane.subpath, lane.active = self.after(scene, hit, step, lane.sampler)
             return (lane,)
 
         (camera_path,) = loop_traced_once(camera_path, lambda lane: lane.active, from_camera, "camera path")
@@ -157,11 +157,13 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
 
     # ---- from the light ----------------------------------------------------------------
 
-    def light_path(self, scene: Scene, camera: Sensor, sampler: SampleStream, ledger: Ledger, lanes: int) -> Lane:
+    def light_path(
+        self, scene: Scene, camera: Sensor, sampler: SampleStream, strategy_images: StrategyImages, lanes: int
+    ) -> Lane:
         """Trace a light path, and show its vertices to the camera; the lane goes on with its random numbers."""
-        end, power = self.at_light(scene, sampler)
+        subpath, power = self.at_light(scene, sampler)
         start = Lane(
-            end=wide(end, lanes),
+            subpath=wide(subpath, lanes),
             sampler=sampler,
             active=dr.full(Bool, self.starts_light_paths, lanes),
             vertices=vertices(scene, JOINED),
@@ -169,12 +171,12 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
         )
 
         def body(lane: Lane) -> tuple[Lane]:
-            hit = self.light_hit(scene, lane.end, power, lane.sampler, lane.active)
-            lane.vertices.write(hit.vertex, lane.count, hit.joins)
+            hit = self.light_hit(scene, lane.subpath, power, lane.sampler, lane.active)
+            lane.vertices.write(hit.light_vertex, lane.count, hit.joins)
             step = self.light_step(scene, camera, hit, lane.sampler)
             if step.shown is not None:
-                ledger.show(step.position, step.shown, step.weight, hit.end.depth + 1)
-            lane.end, lane.active = step.end, step.active
+                strategy_images.show(step.position, step.shown, step.weight, hit.subpath.depth + 1)
+            lane.subpath, lane.active = step.subpath, step.active
             lane.count = dr.select(hit.joins, lane.count + 1, lane.count)
             if is_half_open(scene):
                 # Paths that pass a surface straight can be joined to it as well, and have no edge less.
@@ -183,7 +185,7 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
 
         return loop_traced_once(start, lambda lane: lane.active, body, "light path")[0]
 
-    def at_light(self, scene: Scene, sampler: SampleStream) -> tuple[End, Float]:
+    def at_light(self, scene: Scene, sampler: SampleStream) -> tuple[Subpath, Float]:
         """A path that leaves an emitter, with throughputs up to 1, and the power that they are shares of."""
         start = departure(scene, sampler)
         es, inverse = start.sample, start.inverse
@@ -194,7 +196,7 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
         power = dr.detach(dr.max(es.weight) * inverse)
         if dr.grad_enabled(es.weight):
             power = dr.select(power > 0, power, 1)  # black light may have derivatives
-        end = End(
+        subpath = Subpath(
             ray=start.ray(scene),
             throughput=es.weight * dr.select(power > 0, inverse * dr.rcp(power), 0),
             vcm=vcm,
@@ -203,41 +205,41 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
             eta=Float(1) if scene.bsdfs.refract else None,
             depth=UInt32(1),
         )
-        return end, power
+        return subpath, power
 
-    def light_hit(self, scene: Scene, come: End, power: Float, sampler: SampleStream, active: Bool) -> LightHit:
+    def light_hit(self, scene: Scene, incoming: Subpath, power: Float, sampler: SampleStream, active: Bool) -> LightHit:
         """Follow a light path to its next vertex."""
-        si = scene.surface_interaction(come.ray, scene.closest_hit(come.ray), full=scene.needs_uv)
-        reached = reach(scene, come.ray, si, come.throughput, sampler)
-        place = reached.place
-        end = self.joinable(come.arrived(place, reached.passed, self.h))
-        on = active & place.si.is_valid()
-        joins = on & place.is_smooth()
-        flux = end.throughput * power
-        vertex = LightVertex.at(place, dr.detach(flux), end.vcm, end.vc, end.depth)
-        return LightHit(place, come, end, flux, vertex, joins, on)
+        si = scene.surface_interaction(incoming.ray, scene.closest_hit(incoming.ray), full=scene.needs_uv)
+        reached = next_vertex(scene, incoming.ray, si, incoming.throughput, sampler)
+        vertex = reached.vertex
+        subpath = self.joinable(incoming.arrived(vertex, reached.transmittance, self.h))
+        on = active & vertex.si.is_valid()
+        joins = on & vertex.is_smooth()
+        flux = subpath.throughput * power
+        light_vertex = LightVertex.at(vertex, dr.detach(flux), subpath.vcm, subpath.vc, subpath.depth)
+        return LightHit(vertex, incoming, subpath, flux, light_vertex, joins, on)
 
     def light_step(self, scene: Scene, camera: Sensor, hit: LightHit, sampler: SampleStream) -> LightStep:
         """Show a vertex of a light path to the camera, and go on."""
-        place, end, joins = hit.place, hit.end, hit.joins
+        vertex, subpath, joins = hit.vertex, hit.subpath, hit.joins
         shows = self.shows_light(scene, camera)
         position, shown, weight, to_camera = Point2f(0), None, Float(0), None
         if shows:
-            ds, importance = camera.look_from(place.si.p, sampler.next_2d() if camera.uses_aperture else Point2f(0.5))
+            ds, importance = camera.sample_wi(vertex.si.p, sampler.next_2d() if camera.uses_aperture else Point2f(0.5))
             position, to_camera = ds.uv, ds.d
-        s = place.scatter(scene, False, to_camera, sampler, hit.active)
+        s = vertex.scatter(scene, False, to_camera, sampler, hit.active)
         if shows:
             shown = hit.flux * s.value * importance
             if self.hide_emitters:
-                shown = dr.select(place.si.emitter().is_valid(), 0, shown)
+                shown = dr.select(vertex.si.emitter().is_valid(), 0, shown)
             shown = dr.select(joins, shown, 0)
             lit = joins if dr.grad_enabled(shown) else None
             shown = transmittance(
-                scene, sampler, place.ray_to(ds.p), shown, lit, to_emitter=False, through_lights=self.hide_emitters
+                scene, sampler, vertex.ray_to(ds.p), shown, lit, to_emitter=False, through_lights=self.hide_emitters
             )
-            weight = mis_weight(meeting(end.vcm, end.vc, importance * place.cos(ds.d), s.back, self.h))
+            weight = mis_weight(meeting(subpath.vcm, subpath.vc, importance * vertex.cos(ds.d), s.back, self.h))
 
-        onward, survives = self.onwards(scene, sampler, hit, s, end.depth > self.roulette_from)
+        onward, survives = self.onwards(scene, sampler, hit, s, subpath.depth > self.roulette_from)
         active = hit.active & (onward.depth < self.joined) & survives
         return LightStep(position, shown, weight, onward, active)
 
@@ -248,76 +250,83 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
 
     # ---- from the camera ---------------------------------------------------------------
 
-    def at_camera(self, scene: Scene, camera: Sensor, ray: Ray3f, inside: Bool) -> End:
+    def at_camera(self, scene: Scene, camera: Sensor, ray: Ray3f, inside: Bool) -> Subpath:
         """A path that begins with a camera ray; `inside`: whether a light path can be shown there."""
         vcm, before = Float(0), Float(0)
         if self.shows_light(scene, camera):
             pdf, before = camera.pdf_ray(ray.d)
             vcm = dr.select(inside, self.h(dr.rcp(pdf)), 0)
         eta = Float(1) if scene.bsdfs.refract else None
-        return End(ray, Color3f(1), vcm, Float(0), before, eta, UInt32(1))
+        return Subpath(ray, Color3f(1), vcm, Float(0), before, eta, UInt32(1))
 
     def camera_hit(
-        self, scene: Scene, come: End, maxt: Float, covered: Bool, sampler: SampleStream, active: Bool
+        self, scene: Scene, incoming: Subpath, maxt: Float, covered: Bool, sampler: SampleStream, active: Bool
     ) -> CameraHit:
         """Follow a camera path to its next vertex, where it may meet light."""
-        first = come.depth == 1
-        ray = Ray3f(come.ray.o, come.ray.d, maxt=dr.select(first, maxt, dr.inf), medium=come.ray.medium)
+        first = incoming.depth == 1
+        ray = Ray3f(incoming.ray.o, incoming.ray.d, maxt=dr.select(first, maxt, dr.inf), medium=incoming.ray.medium)
         hit = scene.closest_hit(ray, through_lights=first if self.hide_emitters else None)
         si = scene.surface_interaction(ray, hit, full=scene.needs_uv)
-        reached = reach(scene, ray, si, come.throughput, sampler)
-        place, glow = reached.place, reached.glow
-        end = come.arrived(place, reached.passed, self.h)
-        met, weight = self.met(scene, end, place, covered)
-        on = active & place.si.is_valid()
-        further = on & (end.depth < self.longest)
-        joins = further & place.is_smooth()
-        glow = None if glow is None else come.throughput * glow
-        merged = self.merged(scene, end, place, sampler, joins)
+        reached = next_vertex(scene, ray, si, incoming.throughput, sampler)
+        vertex, emitted = reached.vertex, reached.emitted
+        subpath = incoming.arrived(vertex, reached.transmittance, self.h)
+        met, weight = self.met(scene, subpath, vertex, covered)
+        on = active & vertex.si.is_valid()
+        further = on & (subpath.depth < self.longest)
+        joins = further & vertex.is_smooth()
+        emitted = None if emitted is None else incoming.throughput * emitted
+        merged = self.merged(scene, subpath, vertex, sampler, joins)
         if merged is not None:
-            glow = merged if glow is None else glow + merged
+            emitted = merged if emitted is None else emitted + merged
         # Through null surfaces all paths go on.
         return CameraHit(
-            place, come, self.joinable(end), glow, met, weight, joins, on if scene.media.scatter else further
+            vertex,
+            incoming,
+            self.joinable(subpath),
+            emitted,
+            met,
+            weight,
+            joins,
+            on if scene.media.scatter else further,
         )
 
     def camera_step(self, scene: Scene, hit: CameraHit, sampler: SampleStream) -> CameraStep:
         """Sample light at a vertex of a camera path, and a continuation."""
-        place, end, joins = hit.place, hit.end, hit.joins
-        light = scene.lights.sampling.sample(place.reference, sampler.next_2d(), joins)
+        vertex, subpath, joins = hit.vertex, hit.subpath, hit.joins
+        light = scene.lights.sampling.sample(vertex.reference, sampler.next_2d(), joins)
         ds = light.ds
-        s = place.scatter(scene, True, ds.d, sampler, hit.active)
-        value = dr.select(joins, end.throughput * s.value * light.weight, 0)
+        s = vertex.scatter(scene, True, ds.d, sampler, hit.active)
+        value = dr.select(joins, subpath.throughput * s.value * light.weight, 0)
         lit = joins if dr.grad_enabled(value) else None
-        shadow_ray = place.in_medium(scene.shadow_ray(place.si, ds))
+        shadow_ray = vertex.in_medium(scene.shadow_ray(vertex.si, ds))
         lit_by = transmittance(scene, sampler, shadow_ray, value, lit)
-        weight = self.light_sample_weight(scene, end, place, ds, s.pdf, s.back)
-        return CameraStep(s, lit_by, weight, place.si.is_valid() & ~place.passes(s))
+        weight = self.light_sample_weight(scene, subpath, vertex, ds, s.pdf, s.back)
+        return CameraStep(s, lit_by, weight, vertex.si.is_valid() & ~vertex.passes(s))
 
-    def after(self, scene: Scene, hit: CameraHit, step: CameraStep, sampler: SampleStream) -> tuple[End, Bool]:
+    def after(self, scene: Scene, hit: CameraHit, step: CameraStep, sampler: SampleStream) -> tuple[Subpath, Bool]:
         """The camera path that goes on from a vertex, and where it does."""
-        onward, survives = self.onwards(scene, sampler, hit, step.scattering, hit.end.depth >= self.roulette_from)
+        onward, survives = self.onwards(scene, sampler, hit, step.scattering, hit.subpath.depth >= self.roulette_from)
         active = hit.active & survives
         return onward, active & (onward.depth <= self.longest) if scene.media.scatter else active
 
-    def met(self, scene: Scene, end: End, place: Place, covered: Bool) -> tuple[Color3f, Float]:
+    def met(self, scene: Scene, subpath: Subpath, vertex: PathVertex, covered: Bool) -> tuple[Color3f, Float]:
         """The light of the surface, or of the sky, that a camera path has met, and its weight: s = 0."""
-        si = place.si
+        si = vertex.si
         emitter = si.emitter()
-        radiance = end.throughput * emitter.eval(si)
-        if place.matter is not None:
-            radiance = dr.select(place.matter.inside, 0, radiance)
+        radiance = subpath.throughput * emitter.eval(si)
+        if vertex.medium_vertex is not None:
+            radiance = dr.select(vertex.medium_vertex.inside, 0, radiance)
         if self.hide_emitters:
             radiance = dr.select(covered | si.is_valid(), radiance, 0)
         chosen = scene.lights.choice.probability(Point3f(0), None, emitter.index)
-        position, direction = emitter.pdf_emission(-end.ray.d, si.sh_frame.n, si.uv)
+        position, direction = emitter.pdf_emission(-subpath.ray.d, si.sh_frame.n, si.uv)
         # Light from infinity is sampled by direction, and its rays by position then.
         last, before = (dr.select(si.is_valid(), a, b) for a, b in ((position, direction), (direction, position)))
-        others = meeting(end.vcm, self.shared(end.vc, end.depth), chosen * last, before, self.h)
-        return radiance, dr.select(end.depth == 1, 1, mis_weight(others))
+        others = meeting(subpath.vcm, self.shared(subpath.vc, subpath.depth), chosen * last, before, self.h)
+        return radiance, dr.select(subpath.depth == 1, 1, mis_weight(others))
 
     def light_sample_weight(
-        self, scene: Scene, end: End, place: Place, ds: DirectionSample3f, pdf: Float, back: Float
+        self, scene: Scene, subpath: Subpath, vertex: PathVertex, ds: DirectionSample3f, pdf: Float, back: Float
     ) -> Float:
         """The weight of a light sample, with the densities of both ways at the vertex: s = 1."""
         chosen = scene.lights.choice.probability(Point3f(0), None, ds.emitter_index)
@@ -326,25 +335,27 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
         falloff = dr.select(finite, dr.rcp(dr.square(ds.dist)), 1)
         met = dr.select(finite, dr.abs(dr.dot(ds.n, ds.d)) * falloff * dr.rcp(position), dr.rcp(direction))
         by_bsdf = dr.select(ds.delta, 0, self.h(pdf * met * dr.rcp(chosen)))
-        here = dr.select(finite, direction * falloff, position) * place.cos(ds.d)
-        by_light = meeting(end.vcm, end.vc, here, back, self.h)
-        return mis_weight(by_bsdf + self.shared(by_light, end.depth + 1))
+        here = dr.select(finite, direction * falloff, position) * vertex.cos(ds.d)
+        by_light = meeting(subpath.vcm, subpath.vc, here, back, self.h)
+        return mis_weight(by_bsdf + self.shared(by_light, subpath.depth + 1))
 
-    def connection(self, scene: Scene, end: End, place: Place, v: LightVertex) -> tuple[Ray3f, Color3f, Float]:
+    def connection(
+        self, scene: Scene, subpath: Subpath, vertex: PathVertex, v: LightVertex
+    ) -> tuple[Ray3f, Color3f, Float]:
         """The ray from a vertex to the vertex `v` of the light path, the light that it sends back, and the weight."""
-        there = v.place(scene)
-        to_light = v.p - place.si.p
+        there = v.vertex(scene)
+        to_light = v.p - vertex.si.p
         falloff = dr.rcp(dr.squared_norm(to_light))
         d = to_light * dr.sqrt(falloff)
-        value, pdf, pdf_back = place.evaluate(scene, True, d)
+        value, pdf, pdf_back = vertex.evaluate(scene, True, d)
         sent, sent_pdf, sent_back = there.evaluate(scene, False, -d)
-        value = end.throughput * value * v.flux * sent * falloff
+        value = subpath.throughput * value * v.flux * sent * falloff
         at_light = pdf * there.cos(d) * falloff
-        at_camera = sent_pdf * place.cos(d) * falloff
+        at_camera = sent_pdf * vertex.cos(d) * falloff
         by_light = meeting(v.vcm, v.vc, at_light, sent_back, self.h)
-        by_camera = meeting(end.vcm, end.vc, at_camera, pdf_back, self.h)
-        fits = end.depth + v.depth < self.joined
-        way = place.ray_to(there.si.offset_p(-d))
+        by_camera = meeting(subpath.vcm, subpath.vc, at_camera, pdf_back, self.h)
+        fits = subpath.depth + v.depth < self.joined
+        way = vertex.ray_to(there.si.offset_p(-d))
         return way, dr.select(fits, value, 0), mis_weight(by_light + by_camera)
 
     def through(
@@ -362,15 +373,17 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
         value = dr.select(survives, value * dr.rcp(chance), 0)
         return transmittance(scene, sampler, ray, value, to_emitter=False)
 
-    def merged(self, scene: Scene, end: End, place: Place, sampler: SampleStream, joins: Bool) -> Color3f | None:
+    def merged(
+        self, scene: Scene, subpath: Subpath, vertex: PathVertex, sampler: SampleStream, joins: Bool
+    ) -> Color3f | None:
         """The light that is found at a vertex of a camera path, where it `joins`, in other ways: none."""
         return None
 
     # ---- either way --------------------------------------------------------------------
 
-    def joinable(self, end: End) -> End:
-        """The subpath up to a vertex that can be joined; further ways to join it add to `End.vcm`: here none."""
-        return end
+    def joinable(self, subpath: Subpath) -> Subpath:
+        """The subpath up to a vertex that can be joined; further ways to join it add to `Subpath.vcm`: here none."""
+        return subpath
 
     def shared(self, others: Float, edges: UInt32) -> Float:
         """The part of a weight that comes of further strategies, which longer paths don't have."""
@@ -378,17 +391,17 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
 
     def onwards(
         self, scene: Scene, sampler: SampleStream, hit: LightHit | CameraHit, s: Scattering, roulette_begins: Bool
-    ) -> tuple[End, Bool]:
+    ) -> tuple[Subpath, Bool]:
         """The subpath after a vertex, by the sampled continuation, and where it survives roulette."""
-        end, place = hit.end, hit.place
-        eta = None if end.eta is None else end.eta * s.sample.eta
-        product, aside = scaled(
-            end.throughput, end.aside, s.weight, lambda: place.si.bsdf().vanishes() & (s.sample.pdf > 0)
+        subpath, vertex = hit.subpath, hit.vertex
+        eta = None if subpath.eta is None else subpath.eta * s.sample.eta
+        product, zero_weight = scaled(
+            subpath.throughput, subpath.zero_weight, s.weight, lambda: vertex.si.bsdf().vanishes() & (s.sample.pdf > 0)
         )
         throughput, survives = roulette(sampler, product, eta, roulette_begins)
-        onward = replace(end, aside=aside).scattered(place, s, throughput, self.h)
+        onward = replace(subpath, zero_weight=zero_weight).scattered(vertex, s, throughput, self.h)
         if scene.media.scatter:
-            onward = hit.come.passing(place, place.passes(s), onward)
+            onward = hit.incoming.passing(vertex, vertex.passes(s), onward)
         return onward, survives
 
 

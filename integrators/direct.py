@@ -9,7 +9,7 @@ import drjit as dr
 from djpt.core.records import BSDFContext, BSDFFlags, DirectionSample3f, Ray3f, has_flag
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
-from djpt.emitters.light_samplers import CHOICES
+from djpt.emitters.light_samplers import LIGHT_SAMPLERS
 from djpt.errors import SceneError
 from djpt.integrators.base import Integrator, mis_weight
 from djpt.jit.types import Bool, Color3f, Float
@@ -25,7 +25,7 @@ class Direct(Integrator):
     """Light that arrives straight from emitters at the first visible surface.
 
     L = Le + 1/n_e sum w_e f Le V / p_e + 1/n_b sum w_b f Le / p_b, with the power heuristic of
-    the densities times the share of samples of each strategy.
+    the densities times the fraction of samples of each strategy.
 
     Parameters: `shading_samples` (sets both counts, default 1), or `emitter_samples` and
     `bsdf_samples` (0 turns a strategy off), `hide_emitters`, `emitter_choice` (see `Path`).
@@ -45,14 +45,14 @@ class Direct(Integrator):
         self.bsdf_samples = props.integer("bsdf_samples", both, low=0, high=1024)
         if self.emitter_samples + self.bsdf_samples == 0:
             raise SceneError(f"{props.node}: 'emitter_samples' and 'bsdf_samples' can't both be 0")
-        self.emitter_choice = props.string("emitter_choice", "uniform", choices=CHOICES)
+        self.emitter_choice = props.string("emitter_choice", "uniform", choices=LIGHT_SAMPLERS)
         self.shows_delta, self.samples_lights = self.bsdf_samples > 0, self.emitter_samples > 0
 
     def sample(
         self, scene: Scene, sampler: SampleStream, ray: Ray3f, medium: Any = None, active: Bool | bool = True
     ) -> tuple[Color3f, Bool, list[Float]]:
         total = self.emitter_samples + self.bsdf_samples
-        emitter_share, bsdf_share = self.emitter_samples / total, self.bsdf_samples / total
+        emitter_fraction, bsdf_fraction = self.emitter_samples / total, self.bsdf_samples / total
         ctx = BSDFContext()
 
         # ------------------- Visible surface ------------------
@@ -71,7 +71,7 @@ class Direct(Integrator):
         for _ in range(self.emitter_samples):
             ds, light = scene.sample_emitter_direction(si, sampler.next_2d(smooth), True, smooth)
             value, pdf = bsdf.eval_pdf(ctx, si, si.to_local(ds.d), smooth)
-            weight = mis_weight(ds.pdf * emitter_share, pdf * bsdf_share)
+            weight = mis_weight(ds.pdf * emitter_fraction, pdf * bsdf_fraction)
             weight = dr.select(ds.delta, 1, weight) * (1 / self.emitter_samples)
             result += value * light * weight
 
@@ -85,7 +85,7 @@ class Direct(Integrator):
             ds = DirectionSample3f.between(si.p, ray_b, si_b)
             delta = has_flag(bs.sampled_type, BSDFFlags.Delta)
             emitter_pdf = dr.select(delta, 0, scene.pdf_emitter_direction(si, ds, lit))
-            mis = mis_weight(bs.pdf * bsdf_share, emitter_pdf * emitter_share) * (1 / self.bsdf_samples)
+            mis = mis_weight(bs.pdf * bsdf_fraction, emitter_pdf * emitter_fraction) * (1 / self.bsdf_samples)
             met = si_b.emitter().eval(si_b, lit) * scene.media.transmittance(ray_b, si_b.t)
             result += bsdf_weight * met * mis
 

@@ -10,7 +10,7 @@ import drjit as dr
 from djpt.core.records import BSDFContext, BSDFFlags, DirectionSample3f, Ray3f, SurfaceInteraction3f, has_flag
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
-from djpt.emitters.light_samplers import CHOICES
+from djpt.emitters.light_samplers import LIGHT_SAMPLERS
 from djpt.integrators.base import Integrator, mis_weight
 from djpt.integrators.paths.ray_stack import Branch, RayStack, branch, camera_branch
 from djpt.jit.kernels import while_loop, wide
@@ -50,7 +50,7 @@ class Distributed(Integrator):
         self.split = props.integer("split", 4, low=1, high=16)
         self.light_samples = props.integer("light_samples", 4, low=1, high=16)
         self.max_depth = props.integer("max_depth", 3, low=1, high=16)
-        self.emitter_choice = props.string("emitter_choice", "uniform", choices=CHOICES)
+        self.emitter_choice = props.string("emitter_choice", "uniform", choices=LIGHT_SAMPLERS)
 
     def sample(
         self, scene: Scene, sampler: SampleStream, ray: Ray3f, medium: Any = None, active: Bool | bool = True

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from djpt.core.records import BSDFContext, BSDFFlags, Ray3f, SurfaceInteraction3f, has_flag
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
-from djpt.emitters.light_samplers import CHOICES
+from djpt.emitters.light_samplers import LIGHT_SAMPLERS
 from djpt.integrators.base import PathState, mis_weight
 from djpt.integrators.guiding.cells import Cells, Leaves
 from djpt.integrators.guiding.guide import SIDE, SQUARES, Guide
-from djpt.integrators.guiding.learning import LearningIntegrator, Lessons
-from djpt.integrators.guiding.training import GuidedVertex, practise
+from djpt.integrators.guiding.learning import LearningIntegrator, TrainingPaths
+from djpt.integrators.guiding.training import GuidedVertex, train
 from djpt.integrators.paths.unidirectional import UnidirectionalPath
 from djpt.integrators.termination import first_roulette, roulette
 from djpt.jit.kernels import minimum
@@ -35,7 +35,7 @@ __all__ = ["GuidedPath"]
 FIRST = 2**15
 """The paths of the first pass of training; later ones have twice as many as the one before."""
 
-PRACTICE = 2**13, 2**20
+TRAINING_PATHS = 2**13, 2**20
 """The least and the most training paths."""
 
 VISITS = 2000
@@ -45,7 +45,7 @@ DOUBT = 300
 """The visits after which a guide is followed half as often as one that is certain."""
 
 BLUR = 0.2
-"""The share of a square's tickets that goes to either neighbour, along rows and then along columns."""
+"""The fraction of a square's tickets that goes to either neighbour, along rows and then along columns."""
 
 
 @dataclass
@@ -72,10 +72,10 @@ class GuidedPath(UnidirectionalPath, LearningIntegrator):
     Strong where most light comes from few directions that neither light samples nor the material know: through a
     narrow gap, from a bright spot on a wall. Elsewhere `path` is faster, a sample of which costs half as much.
 
-    Parameters: `max_depth` (edges of the longest path, -1 = unbounded, default -1), `rr_depth` (Russian roulette
-    starts there, default 5), `hide_emitters`, `emitter_choice` (as for `path`), `share` (the chance to follow a
-    guide that has seen much, default 0.5), `practice` (paths to learn from, as a share of the image's samples, default
-    0.125; at least 2^13, at most 2^20), `bounces`.
+    Parameters: `max_depth` (edges of the longest path, -1 = unbounded, default -1), `rr_depth` (Russian roulette starts
+    there, default 5), `hide_emitters`, `emitter_choice` (as for `path`), `share` (the chance to follow a guide that has
+    seen much, default 0.5), `practice` (paths to learn from, as a fraction of the image's samples, default 0.125; at
+    least 2^13, at most 2^20), `bounces`.
 
     T. Müller, M. Gross and J. Novák, "Practical path guiding for efficient light-transport simulation", 2017, for the
     passes and the tree; A. Rath and others, "Variance-aware path guiding", 2020, for what is learned; the histogram
@@ -92,10 +92,10 @@ class GuidedPath(UnidirectionalPath, LearningIntegrator):
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         self.rr_depth = first_roulette(props, self.max_depth)
-        self.emitter_choice = props.string("emitter_choice", "uniform", choices=CHOICES)
+        self.emitter_choice = props.string("emitter_choice", "uniform", choices=LIGHT_SAMPLERS)
         self.share = props.float("share", 0.5, low=0.0, high=0.95)
         self.practice = props.float("practice", 0.125, low=0.0, high=16.0)
-        self._taught_schedules: tuple[str, ...] = ("wave",) if self.bounces else UnidirectionalPath.schedules
+        self._trained_schedules: tuple[str, ...] = ("wave",) if self.bounces else UnidirectionalPath.schedules
         self.schedules, self.differentiable = GuidedPath.schedules, False
 
     def prepare_scene(self, scene: Scene) -> None:
@@ -104,29 +104,29 @@ class GuidedPath(UnidirectionalPath, LearningIntegrator):
 
     # ---- training ----------------------------------------------------------------------
 
-    def taught(self, lessons: Lessons) -> GuidedPath:
-        scene = lessons.scene
+    def trained(self, training_paths: TrainingPaths) -> GuidedPath:
+        scene = training_paths.scene
         cells = Cells(*scene.bbox())
         leaves = Leaves.equal(cells, 6)
         guide = Guide(cells, leaves, np.zeros((leaves.count, SQUARES)), np.zeros(leaves.count))
         unit = scene.lights.brightness**2
-        least, most = PRACTICE
-        count = int(min(max(self.practice * lessons.samples, least), most))
+        least, most = TRAINING_PATHS
+        count = int(min(max(self.practice * training_paths.samples, least), most))
         for begin, end in passes(count):
-            lessons.pause()
-            sampler, ray = lessons.begin(begin, end)
-            pupil = self.following(guide)
-            notes = practise(pupil, scene, sampler, ray, guide.leaves.count, cells.count, unit)
-            unit = notes.mean or unit
-            share = self.share * confidence(guide.leaves, notes.visits)
-            known = Guide(cells, guide.leaves, blurred(np.sqrt(notes.sums)), share)
-            guide = known if end == count else divided(known, notes.visits)
+            training_paths.pause()
+            sampler, ray = training_paths.begin(begin, end)
+            guided = self.following(guide)
+            result = train(guided, scene, sampler, ray, guide.leaves.count, cells.count, unit)
+            unit = result.mean or unit
+            share = self.share * confidence(guide.leaves, result.visits)
+            known = Guide(cells, guide.leaves, blurred(np.sqrt(result.sums)), share)
+            guide = known if end == count else divided(known, result.visits)
         return self.following(guide)
 
     def following(self, guide: Guide) -> GuidedPath:
         """This integrator with a guide."""
         follower = copy.copy(self)
-        follower.guide, follower.schedules = guide, self._taught_schedules
+        follower.guide, follower.schedules = guide, self._trained_schedules
         return follower
 
     # ---- paths -------------------------------------------------------------------------
@@ -235,7 +235,7 @@ def divided(guide: Guide, visits: NDArray[np.uint32]) -> Guide:
 
 
 def blurred(weights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Weights (leaves, SQUARES), of which each square has given a share to its neighbours on the map."""
+    """Weights (leaves, SQUARES), of which each square has given a fraction to its neighbours on the map."""
     maps = weights.reshape(-1, SIDE, SIDE)
     for axis in (1, 2):
         padded = np.pad(maps, [(0, 0), *((1, 1) if axis == a else (0, 0) for a in (1, 2))], mode="edge")

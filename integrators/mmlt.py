@@ -11,7 +11,7 @@ from djpt.description.registry import register_integrator
 from djpt.errors import RenderError
 from djpt.films.splats import Splats
 from djpt.integrators.bdpt import BidirectionalPath
-from djpt.integrators.bidirectional.single_strategy import OneStrategy, numbers_drawn
+from djpt.integrators.bidirectional.single_strategy import SingleStrategy, numbers_drawn
 from djpt.integrators.markov.chains import Bootstrap, MarkovChains
 from djpt.integrators.path import Path
 from djpt.integrators.paths.passes import PassIntegrator, Walks
@@ -72,7 +72,7 @@ class MultiplexedMetropolis(PassIntegrator):
         self.sigma = props.float("sigma", 0.03, low=0.0, high=0.5)
         self.emitter_choice = props.string("emitter_choice", "uniform", choices=("uniform", "power"))
         hide = {"hide_emitters": self.hide_emitters}
-        self.ends = BidirectionalPath(Properties("bdpt", f"{props.node}.ends", hide))
+        self.bdpt = BidirectionalPath(Properties("bdpt", f"{props.node}.ends", hide))
         # For light that comes straight from an emitter.
         self.from_camera = Path(Properties("path", f"{props.node}.straight", {"max_depth": 1} | hide))
 
@@ -109,7 +109,7 @@ class State:
         if integrator.max_depth < 2:
             return
         self._count = min(integrator.chains, max(FEWEST_CHAINS, self._total // FEWEST_STEPS))
-        strategy = OneStrategy(integrator.ends, walks.scene, walks.camera, walks.ray_at)
+        strategy = SingleStrategy(integrator.bdpt, walks.scene, walks.camera, walks.ray_at)
         low, high = BOOTSTRAP
         samples = integrator.bootstrap_samples or min(max(low, self._total // 4), high)
         of_bootstrap, of_chains = sample_tea_32(walks.seed, UInt32(0xFFFFFFFF))

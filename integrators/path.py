@@ -9,7 +9,7 @@ import drjit as dr
 from djpt.core.records import BSDFContext, Ray3f, SurfaceInteraction3f
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
-from djpt.emitters.light_samplers import CHOICES
+from djpt.emitters.light_samplers import LIGHT_SAMPLERS
 from djpt.integrators.base import PathState, Vertex, mis_weight
 from djpt.integrators.paths.unidirectional import UnidirectionalPath
 from djpt.integrators.termination import first_roulette, roulette
@@ -44,7 +44,7 @@ class Path(UnidirectionalPath):
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         self.rr_depth = first_roulette(props, self.max_depth)
-        self.emitter_choice = props.string("emitter_choice", "uniform", choices=CHOICES)
+        self.emitter_choice = props.string("emitter_choice", "uniform", choices=LIGHT_SAMPLERS)
 
     def vertex(
         self, scene: Scene, sampler: SampleStream, state: PathState, ray: Ray3f, si: SurfaceInteraction3f
@@ -73,7 +73,7 @@ class Path(UnidirectionalPath):
         # ------------------ Russian roulette ------------------
         eta = None if state.eta is None else state.eta * bs.eta
         begins = self.roulette_depth(state.depth) >= self.roulette_from
-        onward = state.carrying(weight, lambda: bsdf.vanishes() & (bs.pdf > 0))
+        onward = state.weighted(weight, lambda: bsdf.vanishes() & (bs.pdf > 0))
         throughput, survives = roulette(sampler, onward.throughput, eta, begins)
 
         # ---------------------- Next vertex -------------------

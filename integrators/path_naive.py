@@ -89,7 +89,7 @@ class PathNaive(UnidirectionalPath):
         # ------------------ Russian roulette ------------------
         eta = None if state.eta is None else state.eta * chosen.eta
         begins = state.depth + 1 >= self.roulette_from
-        onward = state.carrying(weight, lambda: bsdf.vanishes() & (chosen.pdf > 0))
+        onward = state.weighted(weight, lambda: bsdf.vanishes() & (chosen.pdf > 0))
         throughput, survives = roulette(sampler, onward.throughput, eta, begins)
 
         # ---------------------- Next vertex -------------------

@@ -9,7 +9,7 @@ import drjit as dr
 from djpt.core.records import BSDFContext, Ray3f, SurfaceInteraction3f
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
-from djpt.emitters.light_samplers import CHOICES
+from djpt.emitters.light_samplers import LIGHT_SAMPLERS
 from djpt.integrators.base import PathState, Vertex
 from djpt.integrators.paths.unidirectional import UnidirectionalPath
 from djpt.jit.types import Float
@@ -48,7 +48,7 @@ class PathNEE(UnidirectionalPath):
             raise props.error(
                 "russian_roulette", "must be less than 1 if 'max_depth' is unbounded: paths would never end"
             )
-        self.emitter_choice = props.string("emitter_choice", "uniform", choices=CHOICES)
+        self.emitter_choice = props.string("emitter_choice", "uniform", choices=LIGHT_SAMPLERS)
 
     def vertex(
         self, scene: Scene, sampler: SampleStream, state: PathState, ray: Ray3f, si: SurfaceInteraction3f
@@ -70,7 +70,7 @@ class PathNEE(UnidirectionalPath):
 
         # ------------------ Russian roulette ------------------
         survives = sampler.next_1d() < self.russian_roulette
-        onward = state.carrying(weight, lambda: bsdf.vanishes() & (bs.pdf > 0))
+        onward = state.weighted(weight, lambda: bsdf.vanishes() & (bs.pdf > 0))
         throughput = onward.throughput * Float(1 / self.russian_roulette)
 
         # ---------------------- Next vertex -------------------

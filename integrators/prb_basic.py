@@ -50,7 +50,7 @@ class PRBBasic(UnidirectionalPath):
         # All of the weight's derivative is in `eval`: ask for both at once.
         bsdf = si.bsdf()
         _, _, bs, weight = bsdf.eval_pdf_sample(BSDFContext(), si, si.wi, sampler.next_1d(), sampler.next_2d(), proceed)
-        onward = state.carrying(weight, lambda: bsdf.vanishes() & (bs.pdf > 0))
+        onward = state.weighted(weight, lambda: bsdf.vanishes() & (bs.pdf > 0))
 
         # ---------------------- Next vertex -------------------
         return Vertex(

@@ -56,7 +56,7 @@ class ParticleTracer(Terminating, PassIntegrator):
 
         1/N flux_k f(y_k) W(y_k) V,    flux_k = Le cos / p(y_0, w_0) times the product of f abs(cos) / p,
 
-    W being the share of the film that an area at y_k covers. Light that comes straight from an emitter is found
+    W being the fraction of the film that an area at y_k covers. Light that comes straight from an emitter is found
     from the camera's side, as `path` with `max_depth` 1 finds it.
 
     Strong at caustics: light of a small emitter that reaches a diffuse surface through glass. Leaves out what the
@@ -135,7 +135,7 @@ class ParticleTracer(Terminating, PassIntegrator):
         proceed = si.is_valid() & (path.depth < self.longest)
 
         # ------------------ To the camera ---------------------
-        ds, importance = camera.look_from(si.p, sampler.next_2d())
+        ds, importance = camera.sample_wi(si.p, sampler.next_2d())
         to_camera = si.to_local(ds.d)
         sample1, sample2 = sampler.next_1d(), sampler.next_2d()
 
@@ -153,7 +153,7 @@ class ParticleTracer(Terminating, PassIntegrator):
 
         # -------------------- BSDF sampling -------------------
         d = si.to_world(bs.wo)
-        flux, aside = scaled(path.flux, path.aside, weight, lambda: si.bsdf().vanishes() & (bs.pdf > 0))
+        flux, zero_weight = scaled(path.flux, path.zero_weight, weight, lambda: si.bsdf().vanishes() & (bs.pdf > 0))
         eta = None if path.eta is None else path.eta * bs.eta
 
         # ------------------ Russian roulette ------------------
@@ -166,7 +166,7 @@ class ParticleTracer(Terminating, PassIntegrator):
             splat=dr.select(proceed, splat, 0),
             shadow_ray=si.spawn_ray_to(ds.p),
             lit=proceed if dr.grad_enabled(splat) else None,
-            path=LightPath(si.spawn_ray(d), flux, path.unit, eta, path.depth + 1, aside),
+            path=LightPath(si.spawn_ray(d), flux, path.unit, eta, path.depth + 1, zero_weight),
             active=proceed & survives,
         )
 

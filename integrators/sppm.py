@@ -45,7 +45,7 @@ class StochasticProgressivePhotonMapping(PhotonMapping, Path):
 
     * straight from emitters: by light samples and BSDF samples, as in `path`;
     * over other surfaces: 1 / (c pi r^2 N) times the sum of f flux over the photons within the radius r, of N light
-      paths of two and more edges, c being the share of the disk that is surface;
+      paths of two and more edges, c being the fraction of the disk that is surface;
     * through its own mirrors, if it has any, such as a coat: the path goes on.
 
     Finds what no unbiased method does: caustics of point lights in mirrors and panes, light that is reflected,

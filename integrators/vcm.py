@@ -10,8 +10,8 @@ import drjit as dr
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
 from djpt.integrators.bdpt import BidirectionalPath
-from djpt.integrators.bidirectional.subpath import End, mis_weight
-from djpt.integrators.paths.path_vertex import Place
+from djpt.integrators.bidirectional.subpath import Subpath, mis_weight
+from djpt.integrators.paths.path_vertex import PathVertex
 from djpt.integrators.paths.scene_checks import refuse_scattering_media
 from djpt.integrators.photons import Photon, PhotonMap, PhotonStore, inverse_coverage
 from djpt.integrators.photons.photon_mapping import PhotonMapping, over_cosine, scatters
@@ -30,7 +30,7 @@ __all__ = ["VertexConnectionMerging"]
 class PhotonPath:
     """The state of a light path that leaves photons."""
 
-    end: End
+    subpath: Subpath
     power: Float
     """The power that the throughput is a fraction of."""
 
@@ -78,25 +78,25 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
 
     # ---- where paths meet --------------------------------------------------------------
 
-    def joinable(self, end: End) -> End:
+    def joinable(self, subpath: Subpath) -> Subpath:
         """The subpath up to a vertex that can be joined: by connections, whose densities are 1, and by mergings."""
-        return replace(end, vcm=end.vcm + self._merging)
+        return replace(subpath, vcm=subpath.vcm + self._merging)
 
-    def merged(self, scene: Scene, end: End, place: Place, sampler: SampleStream, joins: Bool) -> Color3f:
+    def merged(self, scene: Scene, subpath: Subpath, vertex: PathVertex, sampler: SampleStream, joins: Bool) -> Color3f:
         """The light of the photons about a vertex of a camera path."""
         assert self.photons is not None
-        si = place.si
+        si = vertex.si
 
         def worth(photon: Photon) -> Color3f:
-            value, pdf, back = place.evaluate(scene, True, -photon.d)
+            value, pdf, back = vertex.evaluate(scene, True, -photon.d)
             by_light = photon.vcm + photon.vc * self.h(pdf)
-            by_camera = end.vcm + end.vc * self.h(back)
+            by_camera = subpath.vcm + subpath.vc * self.h(back)
             weight = mis_weight((by_light + by_camera) * dr.rcp(self._merging))
             return over_cosine(value, si, photon) * photon.flux * weight
 
-        edges = dr.select(end.depth < self.joined, self.joined - end.depth, 0)
+        edges = dr.select(subpath.depth < self.joined, self.joined - subpath.depth, 0)
         found = self.photons.density(si.p, si.n, edges, joins, worth)
-        return end.throughput * found * inverse_coverage(scene, self.photons, si, sampler, dr.max(found) > 0)
+        return subpath.throughput * found * inverse_coverage(scene, self.photons, si, sampler, dr.max(found) > 0)
 
     # ---- photons -----------------------------------------------------------------------
 
@@ -106,20 +106,20 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
     def arrive(
         self, scene: Scene, sampler: SampleStream, path: PhotonPath, store: PhotonStore
     ) -> tuple[PhotonPath, Bool]:
-        ray = path.end.ray
+        ray = path.subpath.ray
         si = scene.surface_interaction(ray, scene.closest_hit(ray), full=scene.needs_uv)
-        place = Place(si, None)
-        end = path.end.arrived(place, scene.media.transmittance(ray, si.t), self.h)
-        on = si.is_valid() & (end.depth < self.joined)
-        flux = end.throughput * path.power
-        photon = Photon(si.p, si.n, Float(end.depth), ray.d, flux, end.vcm, end.vc)
+        vertex = PathVertex(si, None)
+        subpath = path.subpath.arrived(vertex, scene.media.transmittance(ray, si.t), self.h)
+        on = si.is_valid() & (subpath.depth < self.joined)
+        flux = subpath.throughput * path.power
+        photon = Photon(si.p, si.n, Float(subpath.depth), ray.d, flux, subpath.vcm, subpath.vc)
         store.add(photon, on & scatters(si) & (dr.max(flux) > 0))
 
-        s = place.scatter(scene, False, None, sampler, on)
-        eta = None if end.eta is None else end.eta * s.sample.eta
-        throughput, survives = roulette(sampler, end.throughput * s.weight, eta, end.depth > self.roulette_from)
-        after = self.joinable(end).scattered(place, s, throughput, self.h)
-        return PhotonPath(after, path.power), on & survives & (end.depth + 1 < self.joined)
+        s = vertex.scatter(scene, False, None, sampler, on)
+        eta = None if subpath.eta is None else subpath.eta * s.sample.eta
+        throughput, survives = roulette(sampler, subpath.throughput * s.weight, eta, subpath.depth > self.roulette_from)
+        after = self.joinable(subpath).scattered(vertex, s, throughput, self.h)
+        return PhotonPath(after, path.power), on & survives & (subpath.depth + 1 < self.joined)
 
 
 register_integrator("vcm", VertexConnectionMerging)

@@ -145,7 +145,7 @@ class VolumetricPath(UnidirectionalPath):
         depth = dr.select(crosses, state.depth, state.depth + 1)
         eta = None if state.eta is None else state.eta * eta
         flown_weight, matter = flown * weight, scene.media.are_attached()
-        onward = state.carrying(
+        onward = state.weighted(
             flown_weight, lambda: dr.select(surface, bsdf.vanishes() & (bs.pdf > 0), inside & matter)
         )
         next_throughput, survives = roulette(sampler, onward.throughput, eta, depth > self.roulette_from)

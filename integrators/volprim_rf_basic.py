@@ -17,9 +17,9 @@ from djpt.jit.types import Bool, Color3f, Float, Point3f, UInt32, Vector3f, back
 __all__ = ["BasicVolumetricPrimitiveRadianceFieldIntegrator"]
 
 DENSEST = 0.9999
-"""The largest share of light that one ellipsoid covers."""
+"""The largest fraction of light that one ellipsoid covers."""
 ENOUGH = 0.01
-"""A ray ends where no channel has more than this share of it left."""
+"""A ray ends where no channel has more than this fraction of it left."""
 STEP = 1e-4
 """Distance behind a hit, in units of the ray's direction, at which the ray goes on."""
 
@@ -57,7 +57,7 @@ class BasicVolumetricPrimitiveRadianceFieldIntegrator(RBIntegrator):
         return f"{type(self).__name__}[]"
 
     def eval_transmission(self, si: Any, ray: Any, active: Bool | bool) -> Float:
-        """The share of light that the ellipsoid of each hit lets through along the whole ray."""
+        """The fraction of light that the ellipsoid of each hit lets through along the whole ray."""
         data = si.shape.each(lambda shape, mine: attribute(shape, "ellipsoid", si, mine & active), [Float(0)] * 10)
         opacity = si.shape.each(lambda shape, mine: attribute(shape, "opacities", si, mine & active)[0], Float(0))
         to_world = dr.quat_to_matrix(backend.Matrix3f, backend.Quaternion4f(*data[6:]))

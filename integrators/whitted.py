@@ -30,7 +30,7 @@ MIDDLE = Point2f(0.5)
 
 
 class Whitted(Integrator):
-    """Mirrors and panes are followed, everything else is lit by the lamps alone.
+    """Mirrors and panes are followed, everything else is lit by the lights alone.
 
     L = Le + sum over lights of f cos Li V + R L(reflected) + T L(refracted): the two lobes of a pane are both followed,
     with their Fresnel reflectance and transmittance, down to `max_depth` surfaces.
@@ -119,11 +119,11 @@ class Whitted(Integrator):
         return end.radiance, end.covered, []
 
     def lit(self, scene: Scene, si: SurfaceInteraction3f) -> Color3f:
-        """The light of the lamps that the surface's smooth lobes send to the eye."""
-        lamps = [i for i, e in enumerate(scene.emitters()) if not e.is_environment()]
+        """The light of the lights that the surface's smooth lobes send to the eye."""
+        emitters = [i for i, e in enumerate(scene.emitters()) if not e.is_environment()]
         total = Color3f(0)
-        for lamp in lamps:
-            ds, light = scene.emitter_ptr(UInt32(lamp)).sample_direction(si, MIDDLE)
+        for number in emitters:
+            ds, light = scene.emitter_ptr(UInt32(number)).sample_direction(si, MIDDLE)
             value = si.bsdf().eval(BSDFContext(), si, si.to_local(ds.d), si.is_valid())
             total += scene.transmittance(scene.shadow_ray(si, ds), value * light)
         return total

@@ -1,4 +1,4 @@
-"""The adjoint of scattering: light that travels from lamps, where BSDFs are written for paths from the camera."""
+"""The adjoint of scattering: light that travels from lights, where BSDFs are written for paths from the camera."""
 
 from __future__ import annotations
 

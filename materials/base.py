@@ -58,7 +58,7 @@ class BSDF(Plugin):
 
     @property
     def is_symmetric(self) -> bool:
-        """True if light can be followed from lamps by `sample`: the BSDF and those nested in it are symmetric.
+        """True if light can be followed from lights by `sample`: the BSDF and those nested in it are symmetric.
 
         Those whose classes don't say so are taken not to be: see `djpt.materials.adjoint`.
         """
@@ -195,11 +195,11 @@ class BSDF(Plugin):
         return value, pdf, sample, weight
 
     def eval_null_transmission(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
-        """The share of light that passes straight through the surface, by a `Null` lobe."""
+        """The fraction of light that passes straight through the surface, by a `Null` lobe."""
         return Color3f(0)
 
     def transmittance(self, distance: Float) -> Color3f:
-        """The share of light that is left after a distance within the body that the surface encloses."""
+        """The fraction of light that is left after a distance within the body that the surface encloses."""
         return Color3f(1)
 
     def eval_diffuse_reflectance(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:

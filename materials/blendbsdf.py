@@ -58,7 +58,7 @@ class BlendBSDF(BSDF):
     def _only(
         self, ctx: BSDFContext, si: SurfaceInteraction3f, active: Bool | bool
     ) -> tuple[BSDF, BSDFContext, Float] | None:
-        """The nested BSDF that has the only lobe asked for, its context and its share; None if lobes of both are."""
+        """The nested BSDF that has the only lobe asked for, its context and its fraction; None if lobes of both are."""
         if ctx.component == ALL_COMPONENTS:
             return None
         weight, first = self._weight(si, active), self.bsdf_0.component_count()

@@ -17,7 +17,7 @@ class Blinn(Phong):
     """f = k_d / pi + k_s N cos^n theta_h, on the side of the normal only; black from behind.
 
     theta_h is the angle between the normal and the half vector of `wi` and `wo`. The factor
-    N = (n + 2) (n + 4) / (8 pi (n + 2^(-n/2))) makes the highlight reflect the share k_s of light that falls
+    N = (n + 2) (n + 4) / (8 pi (n + 2^(-n/2))) makes the highlight reflect the fraction k_s of light that falls
     straight onto the surface (F. Giesen, "Phong Normalization Factor Derivation", 2009), and less of the rest.
 
     Parameters: those of `Phong`; a highlight as wide as Phong's takes about four times the exponent.

@@ -36,7 +36,7 @@ class Conductor(DeltaBSDF):
         return (int(BSDFFlags.DeltaReflection | BSDFFlags.FrontSide),)
 
     def reflectance_at(self, si: SurfaceInteraction3f, active: Bool | bool) -> Color3f:
-        """The share of light that is reflected towards `si.wi`."""
+        """The fraction of light that is reflected towards `si.wi`."""
         fresnel = fresnel_conductor(si.wi.z, self.eta.eval(si, active), self.k.eval(si, active))
         return self.specular_reflectance.eval(si, active) * fresnel
 

@@ -24,8 +24,8 @@ class DeltaBSDF(BSDF):
 def derivative_of_choice(probability: Float) -> Float:
     """The number 1 with the derivative of `probability` / detach(`probability`).
 
-    A factor of the weight of a lobe that was chosen with this probability because it carries this share of the
-    light: the choice isn't differentiated, the share must be.
+    A factor of the weight of a lobe that was chosen with this probability because it carries this fraction of the
+    light: the choice isn't differentiated, the fraction must be.
     """
     if not dr.grad_enabled(probability):
         return Float(1)

@@ -25,7 +25,7 @@ class Filter(DeltaBSDF):
     children: ClassVar[Sequence[str]] = ("passed",)
 
     share: ClassVar[float] = 1.0
-    """The share of unpolarised light that an ideal filter lets through."""
+    """The fraction of unpolarised light that an ideal filter lets through."""
     lobe: ClassVar[int] = int(BSDFFlags.Null | BSDFFlags.FrontSide | BSDFFlags.BackSide)
 
     def __init__(self, props: Properties) -> None:

@@ -47,8 +47,8 @@ class Hair(SharedWorkBSDF):
         f cos theta_o = sum over p of M_p(theta_i, theta_o) N_p(phi) A_p.
 
     M_p is the longitudinal lobe of d'Eon et al., tilted by the scales of the hair's surface, N_p a logistic
-    distribution around the ideal direction, and A_p the share of light that reaches it: Fresnel's reflectance and what
-    the inside absorbs. Energy is conserved: without absorption, the A_p add up to 1.
+    distribution around the ideal direction, and A_p the fraction of light that reaches it: Fresnel's reflectance and
+    what the inside absorbs. Energy is conserved: without absorption, the A_p add up to 1.
 
     Parameters:
         longitudinal_roughness, azimuthal_roughness: along and around the fibre (in [0, 1], default 0.3; at least 0.01

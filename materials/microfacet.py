@@ -115,7 +115,7 @@ class MicrofacetDistribution:
         return numerator * dr.rcp(dr.select(unshadowed, z, dr.fma(dr.fma(2.577, a, 2.276), a, 1)))
 
     def smith_g1(self, v: Vector3f, m: Vector3f) -> Float:
-        """The share of microfacets with normal `m` that `v` sees: fronts from above, backs from below, else 0."""
+        """The fraction of microfacets with normal `m` that `v` sees: fronts from above, backs from below, else 0."""
         g1 = self.smith_g1_over_cos(v) * dr.abs(v.z)
         return dr.select(dr.dot(v, m) * v.z > 0, g1, 0)
 

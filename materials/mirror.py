@@ -18,10 +18,10 @@ METAL = ("material", "eta", "k")
 
 
 class Mirror(Conductor):
-    """Mirror reflection of a share of light that depends on the angle or not; black from behind.
+    """Mirror reflection of a fraction of light that depends on the angle or not; black from behind.
 
     Parameters: `reflectance` (texture in [0, 1], default 1), a factor; `material`, or `eta` and `k`, a metal as in
-    `conductor` (default: none); `fresnel`, the share that is reflected:
+    `conductor` (default: none); `fresnel`, the fraction that is reflected:
 
     * `none` (default without a metal): R0 at all angles;
     * `schlick`: R0 + (1 - R0) (1 - cos theta)^5;

@@ -117,7 +117,7 @@ class BSDFPtr(Pointer[BSDF]):
         return self.visit(method, Bool(active))
 
     def eval_null_transmission(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
-        """The share of light that passes straight through; 0 on inactive lanes."""
+        """The fraction of light that passes straight through; 0 on inactive lanes."""
         return dr.select(active, self.visit(lambda bsdf: bsdf.eval_null_transmission(si, active)), 0)
 
     def eval_diffuse_reflectance(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:

@@ -58,9 +58,9 @@ class At:
     front: Bool
     """True where the ray arrives from outside."""
     opaque: Any
-    """The share of the light that meets the diffuse lobe."""
+    """The fraction of the light that meets the diffuse lobe."""
     clear: Any
-    """The share of the light that meets glass."""
+    """The fraction of the light that meets glass."""
     microfacets: MicrofacetDistribution
 
 

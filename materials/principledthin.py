@@ -44,9 +44,9 @@ class At:
     scalars: Scalars
     eta: Float
     clear: Any
-    """The share of the light that meets the specular lobes."""
+    """The fraction of the light that meets the specular lobes."""
     passed: Any
-    """The share of the diffuse light that is transmitted."""
+    """The fraction of the diffuse light that is transmitted."""
     outside: MicrofacetDistribution | None
     """The microfacets that reflect."""
     through: MicrofacetDistribution | None

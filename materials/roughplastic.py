@@ -46,7 +46,7 @@ class RoughPlastic(SharedWorkBSDF):
 
         f = F D G / (4 cos theta_i cos theta_o) + T(theta_i) T(theta_o) / (pi eta^2) * rho / (1 - rho' R).
 
-    T is the share of light that a rough interface lets through, R what it reflects of diffuse light from
+    T is the fraction of light that a rough interface lets through, R what it reflects of diffuse light from
     within, rho' = 1, which keeps the colour of the base, or rho (`nonlinear`). T and R are integrals over all
     microfacets: they are tabulated when alpha or eta change, with their derivatives if those are wanted.
 
@@ -223,7 +223,7 @@ def knots() -> Float:
 
 
 def integrals(surface: MicrofacetDistribution, eta: Float, transmitted: bool) -> Float:
-    """The share of light that a rough interface reflects or transmits, at each knot: (KNOTS,).
+    """The fraction of light that a rough interface reflects or transmits, at each knot: (KNOTS,).
 
     By quadrature over the sample space of the microfacets: visible normals have the density D_wi(m), so that the
     integrand is G1(wo, m) times F or 1 - F.

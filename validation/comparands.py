@@ -22,19 +22,19 @@ from djpt.validation.provenance import readable
 from djpt.validation.references import Reference, is_reference, read_reference
 
 __all__ = [
-    "Side",
+    "Comparand",
     "as_renderer",
+    "comparand_of",
     "djpt_renderer",
     "is_described",
-    "mitsuba_side",
-    "scene_side",
-    "side_of",
+    "mitsuba_comparand",
+    "scene_comparand",
     "told_apart",
 ]
 
 
 @dataclass(frozen=True)
-class Side:
+class Comparand:
     """One of the two things that are compared: a renderer, or an image, or a reference.
 
     * `title`: what it is called.
@@ -70,7 +70,7 @@ class Side:
         return integrator_name(self.description), str(self.facts.get("schedule", ""))
 
 
-def side_of(value: Any, schedule: str = "auto", **changes: Any) -> Side:
+def comparand_of(value: Any, schedule: str = "auto", **changes: Any) -> Comparand:
     """The side that `value` stands for.
 
     Args:
@@ -87,25 +87,25 @@ def side_of(value: Any, schedule: str = "auto", **changes: Any) -> Side:
     """
     changed = {key: change for key, change in changes.items() if change is not None}
     if is_described(value):
-        return scene_side(override(described(value)[1], **changed), schedule)
+        return scene_comparand(override(described(value)[1], **changed), schedule)
     if "integrator" in changed:
         raise ComparisonError(
             f"compare: only a scene description can be given another integrator, not {kind_of(value)}"
         )
     if isinstance(value, (str, os.PathLike)):
-        return file_side(Path(value))
+        return file_comparand(Path(value))
     if isinstance(value, Reference):
-        return Side("reference", reference=value, facts=value.facts)
+        return Comparand("reference", reference=value, facts=value.facts)
     module = type(value).__module__.partition(".")[0]
     if module == "mitsuba" and type(value).__name__ == "Scene":
-        return Side("Mitsuba", loaded_in_mitsuba(value), facts={"what": "a scene loaded in Mitsuba"})
+        return Comparand("Mitsuba", loaded_in_mitsuba(value), facts={"what": "a scene loaded in Mitsuba"})
     if module == "djpt" and type(value).__name__ == "Scene":
-        return Side("djpt", loaded_in_djpt(value, schedule), facts={"what": "a scene loaded in djpt"})
+        return Comparand("djpt", loaded_in_djpt(value, schedule), facts={"what": "a scene loaded in djpt"})
     if hasattr(value, "numpy") or isinstance(value, (np.ndarray, Image)):
-        return Side("image", image=pixels_of(value), facts={"what": "an array"})
+        return Comparand("image", image=pixels_of(value), facts={"what": "an array"})
     if callable(value):
         name = getattr(value, "__name__", type(value).__name__)
-        return Side(name, as_renderer(value), facts={"what": f"the function {name}"})
+        return Comparand(name, as_renderer(value), facts={"what": f"the function {name}"})
     raise SceneError(
         "a scene is a dict, a file or the name of a built-in scene; what can be compared with it is also an image, "
         f"a reference or a function that renders, found {kind_of(value)}"
@@ -119,10 +119,10 @@ def is_described(value: Any) -> bool:
     return isinstance(value, Mapping)
 
 
-def scene_side(description: Mapping[str, Any], schedule: str = "auto") -> Side:
+def scene_comparand(description: Mapping[str, Any], schedule: str = "auto") -> Comparand:
     """A scene in djpt."""
     facts = {"what": "a scene in djpt", "schedule": schedule, "description": readable(description)}
-    return Side(
+    return Comparand(
         "djpt",
         djpt_renderer(description, schedule),
         lambda spp, seed: djpt_renderer(description, schedule, optimize=False)(spp, seed),  # loaded if it is needed
@@ -131,9 +131,9 @@ def scene_side(description: Mapping[str, Any], schedule: str = "auto") -> Side:
     )
 
 
-def mitsuba_side(description: Mapping[str, Any]) -> Side:
+def mitsuba_comparand(description: Mapping[str, Any]) -> Comparand:
     """A scene in Mitsuba."""
-    return Side(
+    return Comparand(
         "Mitsuba",
         mitsuba_renderer(description),
         mitsuba_renderer(description, optimize=False),
@@ -142,12 +142,12 @@ def mitsuba_side(description: Mapping[str, Any]) -> Side:
     )
 
 
-def file_side(path: Path) -> Side:
+def file_comparand(path: Path) -> Comparand:
     """An image file; one that `store_reference` wrote brings its noise along."""
     if is_reference(path):
         reference = read_reference(path)
-        return Side(path.name, reference=reference, facts={"file": str(path), **reference.facts})
-    return Side(path.name, image=read_pixels(path), facts={"what": "an image", "file": str(path)})
+        return Comparand(path.name, reference=reference, facts={"file": str(path), **reference.facts})
+    return Comparand(path.name, image=read_pixels(path), facts={"what": "an image", "file": str(path)})
 
 
 # ---- renderers -----------------------------------------------------------------------------------
@@ -215,7 +215,7 @@ def pixels_of(value: Any) -> npt.NDArray[np.float32]:
     return np.asarray(pixels, np.float32)
 
 
-def told_apart(a: Side, b: Side) -> tuple[Side, Side]:
+def told_apart(a: Comparand, b: Comparand) -> tuple[Comparand, Comparand]:
     """The two sides with different titles: two of djpt are called by their integrators or their schedules."""
     if a.title != b.title:
         return a, b

@@ -18,7 +18,14 @@ from typing import Any
 from djpt.rendering.progress import Progress, watched
 from djpt.scenes.overrides import described, override
 from djpt.validation.bridge import Renderer
-from djpt.validation.comparands import Side, djpt_renderer, is_described, mitsuba_side, side_of, told_apart
+from djpt.validation.comparands import (
+    Comparand,
+    comparand_of,
+    djpt_renderer,
+    is_described,
+    mitsuba_comparand,
+    told_apart,
+)
 from djpt.validation.comparison import Comparison
 from djpt.validation.measures import checked_limits
 from djpt.validation.measuring import THEIR_SEEDS, Rendering, compared, plan
@@ -97,21 +104,21 @@ def compare(
     if parameters and not is_scene_file(against):
         described(scene, parameters)  # raises unless it is a file: parameters of no scene are a mistake
     title, first = found(scene, parameters)
-    a = side_of(first, schedule, **film, integrator=integrator)
+    a = comparand_of(first, schedule, **film, integrator=integrator)
     other = integrator if integrator_b is None else integrator_b
     other_schedule = schedule if schedule_b is None else schedule_b
     if against is not None:
         _, second = found(against, parameters)
-        b = side_of(second, other_schedule, **film, integrator=other if is_described(second) else integrator_b)
+        b = comparand_of(second, other_schedule, **film, integrator=other if is_described(second) else integrator_b)
     elif a.description is None:
         raise ComparisonError(
             "compare: only a scene description can be compared with Mitsuba; pass `against` to compare with something "
             "else"
         )
     elif (integrator_b is not None or schedule_b is not None) and mitsuba_integrator is None:
-        b = side_of(first, other_schedule, **film, integrator=other)
+        b = comparand_of(first, other_schedule, **film, integrator=other)
     else:
-        b = mitsuba_side(override(a.description, integrator=mitsuba_integrator))
+        b = mitsuba_comparand(override(a.description, integrator=mitsuba_integrator))
     same_estimator = integrator_b is None and mitsuba_integrator is None and a.description is not None
     with watched(progress, "comparing", "renders") as shown:
         return compared(
@@ -174,7 +181,7 @@ def store_reference(
     """
     if parameters:
         described(scene, parameters)  # raises unless it is a file
-    side = side_of(found(scene, parameters)[1], schedule, **changes)
+    side = comparand_of(found(scene, parameters)[1], schedule, **changes)
     if side.renderer is None:
         raise ComparisonError("a reference must be rendered, in batches that reveal its noise; an image has no batches")
     batch_spp, count, _ = plan(spp, None, batches)
@@ -215,8 +222,8 @@ def compare_renderers(
     have the same variance. `independent_pixels`: pixels share no samples (box filter).
     """
     return compared(
-        Side("djpt", ours),
-        Side("Mitsuba", theirs, paired),
+        Comparand("djpt", ours),
+        Comparand("Mitsuba", theirs, paired),
         name=name,
         spp=spp,
         reference_spp=reference_spp,

@@ -14,7 +14,7 @@ from djpt.rendering.progress import Progress
 from djpt.validation import metrics
 from djpt.validation.batches import Batches
 from djpt.validation.bridge import Renderer
-from djpt.validation.comparands import Side
+from djpt.validation.comparands import Comparand
 from djpt.validation.comparison import Comparison
 from djpt.validation.metrics import ComparisonError
 from djpt.validation.references import Reference
@@ -53,7 +53,7 @@ class Rendering:
 class Shown:
     """The measurements of one side's image."""
 
-    def __init__(self, side: Side, rendering: Rendering | None) -> None:
+    def __init__(self, side: Comparand, rendering: Rendering | None) -> None:
         self.facts: dict[str, Any] = dict(side.facts)
         self.batches: Batches | None = None
         self.spp, self.seconds = 0, 0.0
@@ -73,8 +73,8 @@ class Shown:
 
 
 def compared(
-    a: Side,
-    b: Side,
+    a: Comparand,
+    b: Comparand,
     *,
     name: str,
     spp: int,
@@ -149,7 +149,7 @@ def compared(
 
 
 def rendered(
-    a: Side, b: Side, spp: int, reference_spp: int | None, batches: int, seed: int
+    a: Comparand, b: Comparand, spp: int, reference_spp: int | None, batches: int, seed: int
 ) -> tuple[Rendering | None, Rendering | None]:
     """The renderings that are to be done: of both sides, one or none."""
     batch_spp, count, reference_count = plan(spp, reference_spp, batches)
@@ -163,7 +163,7 @@ def rendered(
     )
 
 
-def same_seed(a: Side, b: Side, seed: int, spp: int, wanted: bool) -> Agreement | None:
+def same_seed(a: Comparand, b: Comparand, seed: int, spp: int, wanted: bool) -> Agreement | None:
     """The agreement of the two sides at equal seeds, as far as they can have equal ones.
 
     Images are taken as they are. Whatever is compared with a reference renders again, with the reference's
@@ -186,7 +186,7 @@ def same_seed(a: Side, b: Side, seed: int, spp: int, wanted: bool) -> Agreement 
     raise ComparisonError(f"compare: 'same_seed' can't be measured for {a.title} and {b.title}, whose seeds may differ")
 
 
-def stored(side: Side) -> npt.NDArray[Any]:
+def stored(side: Comparand) -> npt.NDArray[Any]:
     """The image of a side that doesn't render."""
     if side.reference is not None:
         return side.reference.batches.mean

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from djpt.scene.scene import Scene
     from djpt.sensors.base import Sensor
 
-__all__ = ["HeldCamera"]
+__all__ = ["OrbitCamera"]
 
 Matrix = npt.NDArray[np.float64]
 
@@ -27,7 +27,7 @@ STEEPEST = math.radians(89)
 
 
 @dataclass(frozen=True)
-class HeldCamera:
+class OrbitCamera:
     """The place of a camera, and the point about which it turns.
 
     Movements are rigid motions of the matrix that the scene gave, so a mirrored picture stays mirrored.
@@ -41,7 +41,7 @@ class HeldCamera:
     """The unit vector of the world that stands upright in pictures, (3,)."""
 
     @classmethod
-    def facing(cls, to_world: npt.ArrayLike, distance: float) -> HeldCamera:
+    def facing(cls, to_world: npt.ArrayLike, distance: float) -> OrbitCamera:
         """The camera at `to_world`, which turns about a point ahead; the axis of the world nearest to its up is up."""
         matrix = np.array(to_world, np.float64)
         upward = matrix[:3, 1]
@@ -51,7 +51,7 @@ class HeldCamera:
         return cls(matrix, matrix[:3, 3] + distance * unit(matrix[:3, 2]), up)
 
     @classmethod
-    def of(cls, scene: Scene, sensor: Sensor) -> HeldCamera:
+    def of(cls, scene: Scene, sensor: Sensor) -> OrbitCamera:
         """A camera of a scene; it turns about what is in the middle of its picture, or else of the scene."""
         to_world = np.array(sensor.world_transform().matrix, np.float64)
         origin, ahead = to_world[:3, 3], unit(to_world[:3, 2])
@@ -67,7 +67,7 @@ class HeldCamera:
         """The distance from the camera to the point about which it turns."""
         return float(np.linalg.norm(self.target - self.to_world[:3, 3]))
 
-    def turned(self, yaw: float, pitch: float) -> HeldCamera:
+    def turned(self, yaw: float, pitch: float) -> OrbitCamera:
         """The camera after a turn about its target: about the upright axis, then up or down, in radians."""
         ahead = unit(self.to_world[:3, 2])
         elevation = math.asin(float(np.clip(ahead @ self.up, -1, 1)))
@@ -79,7 +79,7 @@ class HeldCamera:
             side = self.to_world[:3, 0]
         return self.moved(about(self.target, self.up, yaw) @ about(self.target, unit(side), pitch))
 
-    def shifted(self, right: float, upward: float) -> HeldCamera:
+    def shifted(self, right: float, upward: float) -> OrbitCamera:
         """The camera and its target moved in the plane of the picture, in units of the scene."""
         across, ahead = unit(self.to_world[:3, 1]), unit(self.to_world[:3, 2])
         offset = right * np.cross(ahead, across) + upward * across
@@ -87,17 +87,17 @@ class HeldCamera:
         motion[:3, 3] = offset
         return replace(self.moved(motion), target=self.target + offset)
 
-    def approached(self, factor: float) -> HeldCamera:
+    def approached(self, factor: float) -> OrbitCamera:
         """The camera at `factor` times the distance to its target."""
         motion = np.eye(4)
         motion[:3, 3] = (1 - factor) * (self.target - self.to_world[:3, 3])
         return self.moved(motion)
 
-    def scaled(self, factor: float) -> HeldCamera:
+    def scaled(self, factor: float) -> OrbitCamera:
         """The camera with a picture of `factor` times the width and height, for cameras without perspective."""
         return replace(self, to_world=self.to_world @ np.diag([factor, factor, 1.0, 1.0]))
 
-    def moved(self, motion: Matrix) -> HeldCamera:
+    def moved(self, motion: Matrix) -> OrbitCamera:
         """The camera after a motion of the world's points, about the same target."""
         return replace(self, to_world=motion @ self.to_world)
 

@@ -31,12 +31,12 @@ def lazily(package: str) -> tuple[Callable[[str], Any], Callable[[], list[str]],
     """
     spec = find_spec(package)
     source = spec.loader.get_source(package) if spec is not None and spec.loader is not None else ""  # type: ignore[attr-defined]
-    homes = {alias: (module, name) for module, name, alias in LINE.findall(source)}
-    modules = {module.rpartition(".")[2]: module for module, _ in homes.values()}
+    sources = {alias: (module, name) for module, name, alias in LINE.findall(source)}
+    modules = {module.rpartition(".")[2]: module for module, _ in sources.values()}
 
     def attribute(name: str) -> Any:
-        if name in homes:
-            module, own_name = homes[name]
+        if name in sources:
+            module, own_name = sources[name]
             # The package itself is asked for modules only.
             found = None if module == package else getattr(importlib.import_module(module), own_name, None)
             return importlib.import_module(f"{module}.{own_name}") if found is None else found
@@ -44,5 +44,5 @@ def lazily(package: str) -> tuple[Callable[[str], Any], Callable[[], list[str]],
             return importlib.import_module(modules[name])
         raise AttributeError(f"module {package!r} has no attribute {name!r}")
 
-    names = sorted(homes)
+    names = sorted(sources)
     return attribute, lambda: names, names

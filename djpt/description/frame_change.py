@@ -10,10 +10,10 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-__all__ = ["Frame", "Rooted"]
+__all__ = ["Frame", "NotMovable"]
 
 
-class Rooted(DjptError):
+class NotMovable(DjptError):
     """A plugin that can't be moved into a frame: what it does in other coordinates isn't known."""
 
 
@@ -40,18 +40,18 @@ class Frame(Protocol):
     def rescaled(self, plugin: Any, power: int) -> Any:
         """A texture or volume times a power of the scale; itself for a scale of 1, and None for None."""
 
-    def carried(self, plugin: Any) -> Any:
+    def copy_of(self, plugin: Any) -> Any:
         """A nested plugin in the frame: a copy, always the same, or itself if nothing in it differs there.
 
         What isn't a plugin is returned as it is.
 
         Raises:
-            Rooted: it can't be moved.
+            NotMovable: it can't be moved.
         """
 
     def copied(self, plugin: Any) -> Any:
         """A copy of a plugin that hasn't moved.
 
         Raises:
-            Rooted: its class doesn't say how it moves.
+            NotMovable: its class doesn't say how it moves.
         """

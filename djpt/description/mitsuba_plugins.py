@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-__all__ = ["LACKING", "MITSUBA", "home_of"]
+__all__ = ["LACKING", "MITSUBA", "mitsuba_kind_of"]
 
 MITSUBA = {
     "bsdf": (
@@ -44,6 +44,6 @@ LACKING = {
 """The plugins that djpt lacks: why, and what to do."""
 
 
-def home_of(name: str) -> str | None:
+def mitsuba_kind_of(name: str) -> str | None:
     """The kind that a name has in Mitsuba, or None."""
     return next((kind for kind, names in MITSUBA.items() if name in names.split()), None)

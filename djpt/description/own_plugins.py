@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
-__all__ = ["PACKAGES", "Home", "home", "homes"]
+__all__ = ["PACKAGES", "PluginModule", "plugin_module", "plugin_modules"]
 
 PACKAGES = (
     "djpt.textures",
@@ -36,7 +36,7 @@ LINE = re.compile(r'^register_(\w+)\("(\w+)"', re.MULTILINE)
 
 
 @dataclass(frozen=True)
-class Home:
+class PluginModule:
     """The `kind` of a plugin, and the `module` that registers it when it is imported."""
 
     kind: str
@@ -44,23 +44,23 @@ class Home:
 
 
 @functools.cache
-def home(name: str) -> Home | None:
-    """The home of djpt's plugin of that name, or None. The file of that name is read first, and usually no other."""
+def plugin_module(name: str) -> PluginModule | None:
+    """The module of djpt's plugin of that name, or None. The file of that name is read first, and usually no other."""
     if name.isidentifier():
         for package, folder in folders().items():
             file = folder / f"{name}.py"
-            if file.is_file() and name in (found := homes_in(package, file)):
+            if file.is_file() and name in (found := modules_in(package, file)):
                 return found[name]
-    return homes().get(name)
+    return plugin_modules().get(name)
 
 
 @functools.cache
-def homes() -> dict[str, Home]:
-    """The homes of all of djpt's plugins, by name."""
-    found: dict[str, Home] = {}
+def plugin_modules() -> dict[str, PluginModule]:
+    """The modules of all of djpt's plugins, by name."""
+    found: dict[str, PluginModule] = {}
     for package, folder in folders().items():
         for file in sorted(folder.glob("*.py")):
-            found |= homes_in(package, file)
+            found |= modules_in(package, file)
     return found
 
 
@@ -73,7 +73,7 @@ def folders() -> dict[str, Path]:
     return {package: djpt.joinpath(*package.split(".")[1:]) for package in PACKAGES}
 
 
-def homes_in(package: str, file: Path) -> dict[str, Home]:
-    """The homes of the plugins that a file of a package registers."""
+def modules_in(package: str, file: Path) -> dict[str, PluginModule]:
+    """The modules of the plugins that a file of a package registers."""
     lines = LINE.findall(file.read_text(encoding="utf-8"))
-    return {name: Home(kind, f"{package}.{file.stem}") for kind, name in lines}
+    return {name: PluginModule(kind, f"{package}.{file.stem}") for kind, name in lines}

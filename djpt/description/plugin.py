@@ -189,7 +189,7 @@ class Plugin(Holder):
         them, by `in_any_frame`, keep their scenes out of frames.
 
         Raises:
-            Rooted: It isn't known what the plugin does in other coordinates.
+            NotMovable: It isn't known what the plugin does in other coordinates.
         """
         self.move_nested(frame)
 
@@ -197,7 +197,7 @@ class Plugin(Holder):
         """Put the nested plugins as they are in the working frame in the place of those that differ there."""
         for name in self.children:
             nested = getattr(self, name)
-            moved = frame.carried(nested)
+            moved = frame.copy_of(nested)
             if moved is not nested:
                 setattr(self, name, moved)
 

@@ -17,15 +17,15 @@ from collections.abc import Callable, Collection
 from typing import Any
 
 from djpt.description.entry_points import entries, load
-from djpt.description.mitsuba_plugins import LACKING, home_of
-from djpt.description.own_plugins import PACKAGES, home, homes
+from djpt.description.mitsuba_plugins import LACKING, mitsuba_kind_of
+from djpt.description.own_plugins import PACKAGES, plugin_module, plugin_modules
 from djpt.errors import SceneError, near_miss
 
 __all__ = [
     "Factory",
-    "home_of",
     "kind_of",
     "lookup",
+    "mitsuba_kind_of",
     "name_of",
     "names",
     "register",
@@ -69,7 +69,7 @@ def register(kind: str, name: str, factory: Factory) -> None:
     if not callable(factory):
         raise SceneError(f"register_{kind}: the factory of '{name}' must be callable, found {factory!r}")
     known = _plugins.get(name)
-    taken = known[0] if known is not None else home_of(name)
+    taken = known[0] if known is not None else mitsuba_kind_of(name)
     if taken not in (None, kind):
         # Also names of Mitsuba that djpt lacks are taken: a description must mean the same in both.
         raise SceneError(f"register_{kind}: '{name}' is the name of another kind of plugin already: {taken}")
@@ -167,7 +167,7 @@ def registered(kind: str | None = None) -> dict[str, Factory]:
 def names(kind: str | None = None) -> list[str]:
     """The names of all plugins, or of those of one kind, in order. Nothing is imported."""
     kinds = {name: entry.kind for name, entry in entries().items()}
-    kinds |= {name: place.kind for name, place in homes().items()}
+    kinds |= {name: place.kind for name, place in plugin_modules().items()}
     kinds |= {name: of for name, (of, _) in _plugins.items()}
     return sorted(name for name, of in kinds.items() if kind in (None, of))
 
@@ -176,7 +176,7 @@ def kind_of(name: str) -> str | None:
     """The kind of the plugin of that name, or None. Nothing is imported."""
     if name in _plugins:
         return _plugins[name][0]
-    place = home(name) or entries().get(name)
+    place = plugin_module(name) or entries().get(name)
     return place.kind if place is not None else None
 
 
@@ -202,7 +202,7 @@ def lookup(kind: str | None, name: str, fitting: Collection[str] | None = None) 
         return _plugins[name][1]
     if name in _plugins:
         raise SceneError(f"expected the kind '{kind}', found the {_plugins[name][0]} '{name}'")
-    their_kind = home_of(name)
+    their_kind = mitsuba_kind_of(name)
     if their_kind is not None and kind in (None, their_kind):
         raise SceneError(f"Mitsuba's {their_kind} '{name}' isn't supported: {LACKING[name]}")
     raise unknown(kind, name, fitting)
@@ -219,7 +219,7 @@ def _import_home(name: str) -> None:
     """Let the file that a plugin of djpt or of an installed package stands in register it."""
     if name in _plugins:
         return
-    if (place := home(name)) is not None:
+    if (place := plugin_module(name)) is not None:
         # While all packages are being imported, each comes in its turn.
         if not _own_packages_imported:
             importlib.import_module(place.module)

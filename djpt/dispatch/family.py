@@ -12,7 +12,7 @@ import numpy as np
 
 from djpt.core.lookup import MAX_CHAIN, Members, Numbers, choose, is_one_of, runs
 from djpt.core.records import DirectionSample3f, Ray3f, Record
-from djpt.core.records.scene_ref import Home, only
+from djpt.core.records.scene_ref import SceneRef, only
 from djpt.description.plugin import Plugin
 from djpt.dispatch.ensemble import Detached, Ensemble, Lookup
 from djpt.dispatch.followed import followed
@@ -110,7 +110,7 @@ class Pointer(Record, Generic[P]):
 
     index: UInt32
     """The number of the plugin in the family; beyond the last: none."""
-    home: Home
+    scene_ref: SceneRef
     """The `Family`."""
 
     def __init_subclass__(cls, **options: Any) -> None:
@@ -125,7 +125,7 @@ class Pointer(Record, Generic[P]):
 
     def __init__(self, plugins: Any = None, **fields: Any) -> None:
         if isinstance(plugins, Pointer):
-            fields = {"index": UInt32(plugins.index), "home": plugins.home, **fields}
+            fields = {"index": UInt32(plugins.index), "scene_ref": plugins.scene_ref, **fields}
         elif plugins is not None:
             lanes = list(plugins) if isinstance(plugins, Iterable) else [plugins]
             for plugin in lanes:
@@ -133,7 +133,7 @@ class Pointer(Record, Generic[P]):
                     raise SceneError(f"{type(self).__name__}: expected plugins, found {type(plugin).__name__}")
             numbers = [SCRIPT_PLUGINS.number(plugin) if self.may_hold(plugin) else NONE for plugin in lanes]
             kind = next((plugin.kind for plugin in lanes if plugin is not None), self.member_kind)
-            fields = {"index": UInt32(numbers), "home": {SCRIPT_PLUGINS.of(kind): ()}}
+            fields = {"index": UInt32(numbers), "scene_ref": {SCRIPT_PLUGINS.of(kind): ()}}
         super().__init__(None, **fields)
         # Plugins that nobody else holds must last as long as the pointer.
         self.__dict__["_held"] = plugins
@@ -141,14 +141,14 @@ class Pointer(Record, Generic[P]):
     @classmethod
     def into(cls, family: Family[P], index: UInt32) -> Any:
         """The members of a family with the numbers `index`."""
-        return cls.holding(index=index, home={family: ()})
+        return cls.holding(index=index, scene_ref={family: ()})
 
     def default(self, name: str) -> Any:
         return UInt32(NONE) if name == "index" else {}
 
     def zero_(self, size: int = 1) -> None:
         """Complete `dr.zeros`: no plugin."""
-        self.index, self.home = dr.full(UInt32, NONE, size), {SCRIPT_PLUGINS.of(self.member_kind): ()}
+        self.index, self.scene_ref = dr.full(UInt32, NONE, size), {SCRIPT_PLUGINS.of(self.member_kind): ()}
 
     @classmethod
     def may_hold(cls, plugin: Plugin | None) -> bool:
@@ -160,7 +160,7 @@ class Pointer(Record, Generic[P]):
     @property
     def ensemble(self) -> Ensemble[P]:
         """The plugins, grouped by what kernels know of them."""
-        family = only(tuple(self.home))
+        family = only(tuple(self.scene_ref))
         return NOBODY if family is None else family.ensemble
 
     @property
@@ -168,13 +168,13 @@ class Pointer(Record, Generic[P]):
         """The way to read the plugins' values; those of a script's own plugins stay attached to their gradients."""
         if self.is_of_script:
             return followed(self.ensemble, Detached())
-        family: Family[P] = only(tuple(self.home))
+        family: Family[P] = only(tuple(self.scene_ref))
         return family.lookup
 
     @property
     def is_of_script(self) -> bool:
         """True if a script has made the pointer, not a scene."""
-        return not isinstance(only(tuple(self.home)), Family)
+        return not isinstance(only(tuple(self.scene_ref)), Family)
 
     @property
     def plugins(self) -> Sequence[P]:
@@ -270,7 +270,7 @@ def filled(result: tuple[Any, Any], time: Any = None) -> tuple[Any, Any]:
     if isinstance(sample, Ray3f):
         return sample.replaced(times=(Float(time),), media=()), weight
     if isinstance(sample, DirectionSample3f):
-        return sample.replaced(home={}), weight
+        return sample.replaced(scene_ref={}), weight
     return sample, weight
 
 

@@ -30,7 +30,7 @@ def add_grid_functions(module: Module) -> None:
 
 
 def add_weigh(module: Module) -> None:
-    """Add up the three channels of texels (single precision), each times its share, and cut at 0.
+    """Add up the three channels of texels (single precision), each times its fraction, and cut at 0.
 
     `stride`: bytes from one row of texels to the next.
     """

@@ -65,8 +65,8 @@ def corner_table(numbers: Numbers) -> Table:
 def halve(mass: Numbers, nodes: Table) -> Numbers:
     """Write the nodes over cells in twos or, where there are several rows and columns, in fours; give their masses.
 
-    A node is the share of the upper half, and of the left half of either; 0 where there is no mass: no sample arrives
-    there. Its fourth number stays 0.
+    A node is the fraction of the upper half, and of the left half of either; 0 where there is no mass: no sample
+    arrives there. Its fourth number stays 0.
 
     Args:
         mass: of the cells, (rows, columns), powers of two.

@@ -145,7 +145,7 @@ class Hierarchical2D(Plugin):
 
 
 def below(x: Float, width: Float, share: Float) -> tuple[Bool, Float, Float]:
-    """Whether `x` lies beyond a share of the interval from 0 to `width`, and what is left of `x` and `width`.
+    """Whether `x` lies beyond a fraction of the interval from 0 to `width`, and what is left of `x` and `width`.
 
     0 < x <= width holds for the rest as well, however this is rounded: parts of share 0 are never chosen.
     """

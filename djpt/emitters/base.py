@@ -16,7 +16,7 @@ from djpt.core.records import (
     SurfaceInteraction3f,
     has_flag,
 )
-from djpt.description.frame_change import Rooted
+from djpt.description.frame_change import NotMovable
 from djpt.description.plugin import TraversalCallback
 from djpt.description.properties import Properties
 from djpt.emitters.bounds import LightBounds
@@ -75,12 +75,12 @@ class Emitter(EmitterQuestions):
     def move_into(self, frame: Frame) -> None:
         """By default light from infinity or from a shape has no place or length of its own; no other can be moved."""
         if not (self.from_infinity or self.on_shape):
-            raise Rooted(f"{self.id()}: its place is unknown")
+            raise NotMovable(f"{self.id()}: its place is unknown")
         self.move_nested(frame)
 
     def move_nested(self, frame: Frame) -> None:
         # Some emitters list it as a child, too.
-        shape = frame.carried(self.shape)
+        shape = frame.copy_of(self.shape)
         super().move_nested(frame)
         self.shape = shape
 

@@ -48,7 +48,7 @@ class SunSky(Daylight):
     """
 
     in_any_frame = True
-    values: ClassVar[Mapping[str, ParamFlags]] = {**Daylight.values, "sky_share": HIDDEN}
+    values: ClassVar[Mapping[str, ParamFlags]] = {**Daylight.values, "sky_fraction": HIDDEN}
     children = ("dome", "disc", "directions")
     times_and_places = CLOCK
 
@@ -111,13 +111,13 @@ class SunSky(Daylight):
             of_sun, of_sky = of_sun * self.sun_scale, of_sky * self.sky_scale
             self.irradiance = of_sun + of_sky
             both = of_sky + of_sun * self.disc.dilution
-            self.sky_share: Any = dr.select(both > 0, of_sky / both, 0)
-            dr.make_opaque(self.irradiance, self.sky_share)
+            self.sky_fraction: Any = dr.select(both > 0, of_sky / both, 0)
+            dr.make_opaque(self.irradiance, self.sky_fraction)
 
     # ---- in kernels --------------------------------------------------------------------
 
     def at(self, time: Float) -> Instant:
-        return Instant(self.dome, self.disc, self.directions, self.sky_share, self.sky_scale, self.sun_scale)
+        return Instant(self.dome, self.disc, self.directions, self.sky_fraction, self.sky_scale, self.sun_scale)
 
 
 register_emitter("sunsky", SunSky)

@@ -77,7 +77,7 @@ class TimedSunSky(Daylight):
     controls: Any
     """The sky's colours, by control point and quantity: see `SkyDome.of`."""
     suns: Any
-    """By elevation: the sun's irradiance (3), and the share of samples that go to the sky."""
+    """By elevation: the sun's irradiance (3), and the fraction of samples that go to the sky."""
     densities: Any
     """By elevation: the parameters of `SkyDirections` (5), and 0."""
 

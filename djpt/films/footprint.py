@@ -15,7 +15,7 @@ from djpt.rfilters.base import is_wide
 __all__ = ["Footprint", "SpreadReader", "in_window"]
 
 STEPS = 64
-"""Places on a pixel at which filters are looked at to find the share of them that lies inside of the film."""
+"""Places on a pixel at which filters are looked at to find the fraction of them that lies inside of the film."""
 
 Visit = Callable[..., tuple[Any, ...]]
 """``visit(pixel, color, inside, *state)``: takes a pixel's part of a colour where it is `inside` of the crop window,
@@ -98,14 +98,14 @@ class Footprint:
         return found[1:]
 
     def shares_inside(self) -> Float:
-        """The share of the filter that lies within the crop window, for each of its pixels, row by row."""
+        """The fraction of the filter that lies within the crop window, for each of its pixels, row by row."""
         width, height = self._film.crop_size()
         pixel = dr.arange(UInt32, width * height)
         row = pixel // self._columns
         return self._inside(pixel - row * self._columns, self._columns) * self._inside(row, self._rows)
 
     def _inside(self, place: UInt32, count: UInt32) -> Float:
-        """The share of the filter that lies within the `count` columns or rows, for the pixel at each `place`."""
+        """The fraction of the filter that lies within the `count` columns or rows, for the pixel at each `place`."""
         weights = self._weights((dr.arange(Float, STEPS) + 0.5) / STEPS)
         total, reach = sum(weights[1:], weights[0]), self._film.taps // 2
         shares = [dr.mean(weight / total) for weight in weights]

@@ -14,7 +14,7 @@ CHANNELS = {
     "xyz": ("X", "Y", "Z"),
     "xyza": ("X", "Y", "Z", "A"),
 }
-"""The names of the channels of a pixel format; A is the share of samples that are covered."""
+"""The names of the channels of a pixel format; A is the fraction of samples that are covered."""
 
 ROWS = {"luminance": (LUMINANCE,), "luminance_alpha": (LUMINANCE,), "xyz": RGB_TO_XYZ, "xyza": RGB_TO_XYZ}
 """The weights of red, green and blue in each channel, for formats that don't store these three."""

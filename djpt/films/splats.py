@@ -54,7 +54,7 @@ class Splats(Footprint):
     def sums(self, layer: int = 0, continued: bool = False) -> list[Float]:
         """The three channels of a layer, pixel by pixel.
 
-        Pixels near the border are divided by the share of the filter that lies inside, so that the weights of what
+        Pixels near the border are divided by the fraction of the filter that lies inside, so that the weights of what
         they receive sum up to 1; unless it is `continued` outside, by other samples that count there.
         """
         inverse = Float64(1) / Float64(self._scale)

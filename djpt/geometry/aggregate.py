@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from djpt.geometry.triangles import Triangles
     from djpt.shapes.mesh import Mesh
 
-__all__ = ["NO_INSTANCE", "Contents", "FaceNumbers", "Geometry", "PassableSurfaces", "unseen"]
+__all__ = ["NO_INSTANCE", "Contents", "FaceNumbers", "Geometry", "NullSurfaces", "unseen"]
 
 
 class Geometry:
@@ -371,15 +371,15 @@ class Contents:
             return None
         # Scenes without meshes need no trees, and don't import what builds and searches them.
         from djpt.geometry.triangles import Triangles
-        from djpt.geometry.two_level_bvh import Forest, Placement
+        from djpt.geometry.two_level_bvh import Placement, TwoLevelBVH
         from djpt.shapes.meshes.mesh_set import MeshSet
 
         mesh_set = MeshSet(meshes)
         world = sum(s.of_triangles for s in self._own)
         parts = [world, *(sum(s.of_triangles for s in group.shapes) for group in self._groups)]
         placements = [Placement(self._groups.index(i.group) + 1, i.to_world.matrix) for i in self._placed]
-        self._forest = Forest(mesh_set, parts, solids, placements)
-        return Triangles(mesh_set, [*self._meshes, *self._solids], self._forest)
+        self._two_level_bvh = TwoLevelBVH(mesh_set, parts, solids, placements)
+        return Triangles(mesh_set, [*self._meshes, *self._solids], self._two_level_bvh)
 
     @cached_property
     def instances(self) -> tuple[Numbers, Numbers] | None:
@@ -418,7 +418,7 @@ class Contents:
         """Tell the trees where the changed instances are; true if one of them has changed."""
         moved = [s for s in changed if isinstance(s, Instance) and s in self._placed]
         for instance in moved:
-            self._forest.place(self._placed.index(instance), instance.to_world.matrix)
+            self._two_level_bvh.place(self._placed.index(instance), instance.to_world.matrix)
         return bool(moved)
 
     def moved_solids(self, changed: Sequence[Shape]) -> bool:
@@ -462,19 +462,19 @@ def placed(instance: Instance, original: Shape) -> Shape:
 # ---- surfaces that light may pass straight through ---------------------------------------------------------------
 
 
-class PassableSurfaces:
+class NullSurfaces:
     """The passable shapes of a scene, if all of them are unrolled.
 
     Whether something opaque stands in the way of a shadow ray is then one query without an order, as in scenes without
     passable shapes, and the way through the few that are passable needs none of the other shapes.
     """
 
-    def __init__(self, geometry: Geometry, passable: Sequence[bool]) -> None:
-        """`passable` says of each shape in `geometry.contents.shapes` whether light may pass straight through."""
+    def __init__(self, geometry: Geometry, null: Sequence[bool]) -> None:
+        """`null` says of each shape in `geometry.contents.shapes` whether light may pass straight through."""
         self._geometry = geometry
-        self._passable = [passable[i] for i in geometry.analytic_shapes]
-        self._opaque = [not passes for passes in self._passable]
-        self.are_apart = sum(self._passable) == sum(passable)
+        self._null = [null[i] for i in geometry.analytic_shapes]
+        self._opaque = [not passes for passes in self._null]
+        self.are_apart = sum(self._null) == sum(null)
         """Whether all passable shapes are unrolled: only then the queries mean something."""
 
     def blocked(self, ray: Ray3f, active: Bool | bool = True) -> Bool:
@@ -485,5 +485,5 @@ class PassableSurfaces:
 
     def closest(self, ray: Ray3f) -> PreliminaryIntersection3f:
         """The first hit of a passable shape with 0 < t < maxt."""
-        t, face = self._geometry.unrolled.closest(ray, among=self._passable)
+        t, face = self._geometry.unrolled.closest(ray, among=self._null)
         return PreliminaryIntersection3f.found(t, face, self._geometry.shape_of(face))

@@ -180,7 +180,7 @@ def on_cylinder(p: Point3f) -> LocalSurface:
 
 
 def turn(p: Point3f) -> Float:
-    """The angle about z, counted from the x axis, as a share of the full turn: phi / 2 pi in [0, 1)."""
+    """The angle about z, counted from the x axis, as a fraction of the full turn: phi / 2 pi in [0, 1)."""
     phi = dr.atan2(p.y, p.x)
     return dr.select(phi < 0, phi + 2 * math.pi, phi) * (1 / (2 * math.pi))
 

@@ -13,10 +13,10 @@ import numpy as np
 from djpt.core.frame import Frame3f
 from djpt.jit.kernels import float_in, maximum, minimum, own_copy, own_floats
 from djpt.jit.types import Array4f, ArrayXu, Bool, Float, Point2f, Point3f, UInt32, Vector3f
-from djpt.shapes.curve_segments import CUBIC, ELLIPSOID, LINE, WORDS, Pieces
+from djpt.shapes.curve_segments import CUBIC, ELLIPSOID, LINE, WORDS, CurveSegments
 from djpt.shapes.surface import Surface
 
-__all__ = ["PieceSet"]
+__all__ = ["CurveSegmentSet"]
 
 STEPS = 3
 """The steps from a piece to the cubic curve."""
@@ -33,10 +33,10 @@ class Place:
     dr: Float
 
 
-class PieceSet:
+class CurveSegmentSet:
     """The pieces of all shapes of a scene that have some. A hit knows the number of its piece among them."""
 
-    def __init__(self, pieces: Sequence[Pieces]) -> None:
+    def __init__(self, pieces: Sequence[CurveSegments]) -> None:
         first = np.cumsum([0, *(len(part.points) for part in pieces)])
         rows = []
         for start, part in zip(first, pieces, strict=False):

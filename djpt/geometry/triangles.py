@@ -18,11 +18,11 @@ from djpt.geometry.bvh.steps.records import LEAF, NUMBER, PORTAL, SOLID
 from djpt.geometry.bvh.steps.traversal import into_group
 from djpt.geometry.canonical import FLAT_KINDS, PIECE
 from djpt.geometry.canonical import surface as canonical_surface
-from djpt.geometry.curve_segments import PieceSet
+from djpt.geometry.curve_segments import CurveSegmentSet
 from djpt.geometry.query import DETAIL, LABEL, NONE, Found, Near, RayTree
 from djpt.geometry.recentre import enter
 from djpt.geometry.triangle import RayPlane, intersect_triangle
-from djpt.geometry.two_level_bvh import Forest
+from djpt.geometry.two_level_bvh import TwoLevelBVH
 from djpt.jit.kernels import float_in
 from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.shapes.meshes.mesh_set import MeshSet
@@ -40,15 +40,15 @@ FAR = 8
 class Triangles:
     """Ray queries against the meshes of a scene. A face is identified by its record in the BVH."""
 
-    def __init__(self, meshes: MeshSet, shapes: Sequence[int], forest: Forest) -> None:
-        """`shapes` are the scene's indices of the meshes, then of the analytic shapes that `forest` holds."""
-        self.meshes, self.forest = meshes, forest
+    def __init__(self, meshes: MeshSet, shapes: Sequence[int], two_level_bvh: TwoLevelBVH) -> None:
+        """`shapes` are the scene's indices of the meshes, then of the analytic shapes that `two_level_bvh` holds."""
+        self.meshes, self.two_level_bvh = meshes, two_level_bvh
         self._shapes = list(shapes)
         self._shape_of_mesh = Numbers(self._shapes)
         self._first_face = Numbers(meshes.first_face)
         self._mesh_count = len(meshes.meshes)
         start = time.perf_counter()
-        self._use(forest.tree())
+        self._use(two_level_bvh.tree())
         self.build_seconds = time.perf_counter() - start
         self._far = False
 
@@ -57,7 +57,7 @@ class Triangles:
         if meshes:
             self.meshes.refresh()
         self._first_face = Numbers(self.meshes.first_face)
-        self._use(self.forest.tree())
+        self._use(self.two_level_bvh.tree())
 
     def _use(self, tree: RayTree) -> None:
         self.tree = tree
@@ -84,7 +84,7 @@ class Triangles:
     @property
     def emit(self) -> bool:
         """Whether any of these shapes is a light."""
-        return self.forest.emits
+        return self.two_level_bvh.emits
 
     def search(self, ray: Ray3f, through_lights: Bool | None) -> Found:
         """The first hit with 0 < t < maxt. Where `through_lights`, shapes that emit are ignored."""
@@ -126,9 +126,9 @@ class Triangles:
             if self._solid_kinds:
                 local, _ = into_group(words, p - self.tree.center, Vector3f(0))
                 solid = canonical_surface(self._solid_kinds, words[13], local).triangle
-            if self.forest.pieces is not None:
+            if self.two_level_bvh.pieces is not None:
                 is_piece = self._is_piece(words)
-                segment = self.forest.pieces.segment(words[13] - PIECE, is_piece)
+                segment = self.two_level_bvh.pieces.segment(words[13] - PIECE, is_piece)
                 solid = dr.select(is_piece, segment, solid)
             index = dr.select(mesh < self._mesh_count, index, solid)
         return index
@@ -194,12 +194,12 @@ class Triangles:
     def _placed(self, near: Near, d: Vector3f, t: Float, record: UInt32) -> Surface:
         """The point on an analytic shape or a curve."""
         words = self.tree.map_rows(record)
-        if self.forest.pieces is None:
+        if self.two_level_bvh.pieces is None:
             return self._solid(near, d, t, words)
-        piece = self._piece(near, d, t, words, self.forest.pieces)
+        piece = self._piece(near, d, t, words, self.two_level_bvh.pieces)
         return dr.select(self._is_piece(words), piece, self._solid(near, d, t, words)) if self._solid_kinds else piece
 
-    def _piece(self, near: Near, d: Vector3f, t: Float, words: list[UInt32], pieces: PieceSet) -> Surface:
+    def _piece(self, near: Near, d: Vector3f, t: Float, words: list[UInt32], pieces: CurveSegmentSet) -> Surface:
         """The point on a curve or an ellipsoid."""
         o, local_d = into_group(words, near.origin, d)
         local, p = dr.fma(local_d, t, o), dr.fma(d, t, near.origin) + self.tree.center

@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from djpt.geometry.bvh.leaves import Extent, MeshPart, PlacedLeaves
 from djpt.geometry.bvh.steps.records import EMITS, LEAF, ONE_SIDED, PORTAL, SOLID
 from djpt.geometry.canonical import KINDS, PIECE
-from djpt.geometry.curve_segments import PieceSet
+from djpt.geometry.curve_segments import CurveSegmentSet
 from djpt.geometry.engines import new_trees
 from djpt.geometry.query import RayTree
 from djpt.shapes.base import Shape
-from djpt.shapes.curve_segments import Pieces
+from djpt.shapes.curve_segments import CurveSegments
 from djpt.shapes.meshes.mesh_set import MeshSet
 
-__all__ = ["Forest", "Placement"]
+__all__ = ["Placement", "TwoLevelBVH"]
 
 
 @dataclass
@@ -32,10 +32,10 @@ class Placement:
     """The map from the group's space to world space, (4, 4)."""
 
 
-class Forest:
-    """The trees of a scene, which build its records and renew them after an edit."""
+class TwoLevelBVH:
+    """A BVH over the world, and one over each instanced group: builds their records, and renews them after edits."""
 
-    pieces: PieceSet | None = None
+    pieces: CurveSegmentSet | None = None
     """The pieces of the world's shapes that consist of some; None if there are none."""
 
     def __init__(
@@ -56,7 +56,7 @@ class Forest:
         groups = [self._trees.fit(i, part, nothing) for i, part in enumerate(parts) if i > 0]
         in_pieces = [shape for shape in self._solids if shape.in_pieces]
         pieces = [shape.pieces() for shape in in_pieces]
-        self.pieces = PieceSet(pieces) if pieces else None
+        self.pieces = CurveSegmentSet(pieces) if pieces else None
         boxes = [self._solid_boxes(), *(part.boxes for part in pieces)]
         boxes.append(box_rows([placed_box(groups[p.group - 1], p.to_world) for p in self._placements]))
         placed = np.concatenate(boxes).astype(np.float32)
@@ -85,7 +85,7 @@ class Forest:
         ]
 
     def _placed_leaves(
-        self, groups: Sequence[Extent], in_pieces: Sequence[Any], pieces: Sequence[Pieces]
+        self, groups: Sequence[Extent], in_pieces: Sequence[Any], pieces: Sequence[CurveSegments]
     ) -> PlacedLeaves:
         """The leaves of the world's tree, with the maps into the spaces of its shapes and groups."""
         starts, first = self._trees.starts(), len(self._meshes.meshes)

@@ -84,7 +84,7 @@ def shares(codes: Codes) -> Pixels:
 
 @functools.cache
 def share_table(size: int) -> Pixels:
-    """The share of each number of `size` bytes."""
+    """The fraction of each number of `size` bytes."""
     largest = 256**size - 1
     return (np.arange(largest + 1) / largest).astype(np.float32)
 

@@ -9,7 +9,7 @@ import drjit as dr
 
 from djpt.core.records import Ray3f, SurfaceInteraction3f
 from djpt.core.records.media import MediumInteraction3f
-from djpt.description.frame_change import Rooted
+from djpt.description.frame_change import NotMovable
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import lookup
@@ -79,7 +79,7 @@ class Medium(Plugin):
 
     def move_into(self, frame: Frame) -> None:
         """By default media can't be moved: each class knows what it does per unit of length."""
-        raise Rooted(f"{self.id()}: it isn't known what it does per unit of length")
+        raise NotMovable(f"{self.id()}: it isn't known what it does per unit of length")
 
     def move_nested(self, frame: Frame) -> None:
         """Move the phase function and other children, and convert the emission."""
@@ -210,7 +210,7 @@ class Medium(Plugin):
         return self.emission.eval(mi, active)
 
     def albedo_at(self, mi: MediumInteraction3f, active: Bool | bool = True) -> Color3f:
-        """The scattered share of the light that meets matter at a point."""
+        """The scattered fraction of the light that meets matter at a point."""
         sigma_s, _, sigma_t = self.get_scattering_coefficients(mi, active)
         return dr.select(sigma_t > 0, sigma_s * dr.rcp(sigma_t), 0)
 

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 __all__ = ["ScatteringPoint", "elsewhere", "of_flight", "own_stream", "passed", "uniform_point"]
 
 THIN = 0.03
-"""sigma_0 as a share of the majorant, in dense media."""
+"""sigma_0 as a fraction of the majorant, in dense media."""
 FEW = 0.5
 """sigma_0 times the way of a ray through the medium, in thin ones: collisions so rare would be noise."""
 LEAST = 1e-6
@@ -115,7 +115,7 @@ def of_flight(medium: Medium, ray: Ray3f, start: Float, end: Float, collided: Bo
 
 
 def elsewhere(medium: Medium, ray: Ray3f, mei: MediumInteraction3f, active: Bool) -> Color3f:
-    """The share of the derivative of sigma_t that is left for scattering points."""
+    """The fraction of the derivative of sigma_t that is left for scattering points."""
     sigma_0 = thin(medium, ray, mei)
     return sigma_0 * dr.rcp(dr.detach(medium.extinction(mei, active)) + sigma_0)
 

@@ -43,7 +43,7 @@ class Heterogeneous(Medium):
     majorants are local: a coarser grid has the maximum of each of its cells.
 
     Parameters: `sigma_t` (extinction per unit length: a volume, usually a `gridvolume`, >= 0, default 1), `scale` (a
-    factor of it, default 1), `albedo` (the scattered share: a number, rgb or volume in [0, 1], default 0.75),
+    factor of it, default 1), `albedo` (the scattered fraction: a number, rgb or volume in [0, 1], default 0.75),
     `has_spectral_extinction` (default true; false: `sigma_t` is grey), a phase function, `sample_emitters` and
     `emission`. Nothing glows outside of the box of `sigma_t`.
     """

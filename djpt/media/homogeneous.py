@@ -40,7 +40,7 @@ class Homogeneous(Medium):
     is drawn for the flight; then all that could have been drawn count in its density.
 
     Parameters: `sigma_t` (extinction per unit length: a number or rgb, >= 0, default 1), `scale` (a factor of it,
-    default 1), `albedo` (the scattered share: a number, rgb or volume in [0, 1], default 0.75),
+    default 1), `albedo` (the scattered fraction: a number, rgb or volume in [0, 1], default 0.75),
     `has_spectral_extinction` (default true; false: `sigma_t` is grey, and a colour's first channel counts), a phase
     function, `sample_emitters` and `emission` (the same everywhere).
     """
@@ -121,7 +121,7 @@ class Homogeneous(Medium):
             fixed = dr.maximum(fixed, dr.rcp(minimum(maximum(length, 1 / FAR), FAR)))
         coloured, shares = self.has_spectral_extinction(), None
         if coloured and channel is None:
-            shares = channel_shares(fixed, dr.detach(throughput))
+            shares = channel_probabilities(fixed, dr.detach(throughput))
             channel = channel_drawn(shares, stream.next_1d(active))
         t = -dr.log(1 - stream.next_1d(active)) * dr.rcp(of_channel(fixed, channel if coloured else None))
         scattered = active & (t < length)
@@ -154,7 +154,7 @@ class Homogeneous(Medium):
         return dr.exp(-minimum(length, FAR) * sigma_t)
 
 
-def channel_shares(sigma_t: Color3f, throughput: Color3f) -> Color3f:
+def channel_probabilities(sigma_t: Color3f, throughput: Color3f) -> Color3f:
     """The probability with which each channel samples a flight; the sum is 1.
 
     Light of a dense channel comes from near and is scattered often, and there is less of it: relative to that, its

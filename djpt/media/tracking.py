@@ -1,8 +1,8 @@
 """Flights through media whose extinction varies: delta tracking and ratio tracking.
 
-Matter that has no effect is added until the extinction is the same everywhere, a majorant m. Distances are then
-sampled in closed form; a collision at p is real with the probability sigma_t(p) / m, and otherwise the light goes on
-(E. Woodcock et al., 1965). The share of light that passes a segment is estimated by the product of 1 - sigma_t / m over
+Matter that has no effect is added until the extinction is the same everywhere, a majorant m. Distances are then sampled
+in closed form; a collision at p is real with the probability sigma_t(p) / m, and otherwise the light goes on (E.
+Woodcock et al., 1965). The fraction of light that passes a segment is estimated by the product of 1 - sigma_t / m over
 all collisions (J. Novak, A. Selle and W. Jarosz, "Residual Ratio Tracking", SIGGRAPH Asia 2014). Majorants may change
 along the ray: a flight that reaches the end of one goes on from there, since it has no memory.
 
@@ -38,10 +38,10 @@ LITTLE = 0.1
 KEPT = 0.5
 
 SHORTEST = 2.0**-16
-"""The least mean distance between collisions, as a share of 1 + max abs(coordinates): denser matter counts as that.
+"""The least mean distance between collisions, as a fraction of 1 + max abs(coordinates): denser matter counts as that.
 
 Shorter steps get lost when they are added to a distance in single precision: a flight through clear air beside dense
-matter would never end. The share is a sixth of `RAY_EPSILON`, by which rays are kept off surfaces.
+matter would never end. The fraction is a sixth of `RAY_EPSILON`, by which rays are kept off surfaces.
 """
 
 
@@ -85,7 +85,7 @@ def fly(
 
     def fly_on(track: Track) -> tuple[Track]:
         t, meets, share = collision(medium, majorants, ray, end, track)
-        probability = scattered_share(coloured, importance, track.weight, share)
+        probability = scattering_probability(coloured, importance, track.weight, share)
         real = meets & (track.stream.next_1d(meets) < probability)
         weight = weight_after(coloured, track.weight, share, probability, meets, real)
         shown, shown_weight = place_shown(track, start, t) if track.shown else ((), ())
@@ -119,7 +119,7 @@ def importance_of(throughput: Color3f) -> Color3f:
     return dr.detach(throughput) * dr.rcp(dr.mean(dr.detach(throughput)))
 
 
-def scattered_share(coloured: bool, importance: Color3f, weight: Color3f, share: Color3f) -> Float:
+def scattering_probability(coloured: bool, importance: Color3f, weight: Color3f, share: Color3f) -> Float:
     """The probability that a collision is real: `share` is sigma_t / majorant."""
     return dr.mean(importance * weight * share) if coloured else share.x
 
@@ -169,7 +169,7 @@ def glow(
 def transmittance(
     medium: Medium, ray: Ray3f, length: Float, stream: SampleStream, active: Bool, leaves: Medium | None = None
 ) -> Color3f:
-    """An estimate of the share of light that passes a segment of a ray with a unit direction, by ratio tracking.
+    """An estimate of the fraction of light that passes a segment of a ray with a unit direction, by ratio tracking.
 
     `leaves` is the medium with values that have derivatives.
     """
@@ -211,7 +211,7 @@ def step(
     """
     coloured, moves = medium.has_spectral_extinction(), track.active
     t, meets, share = collision(medium, majorants, ray, end, track)
-    probability = scattered_share(coloured, importance_of(throughput), track.weight, share)
+    probability = scattering_probability(coloured, importance_of(throughput), track.weight, share)
     left, chance, little = thinned(track.weight, share, meets)
     number = track.stream.next_1d(dr.select(estimates, little, meets))
     survives = ~(estimates & little) | (number < chance)

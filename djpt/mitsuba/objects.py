@@ -7,7 +7,7 @@ from typing import Any
 
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
-from djpt.description.registry import home_of, kind_of, lookup, register_phase
+from djpt.description.registry import kind_of, lookup, mitsuba_kind_of, register_phase
 
 __all__ = ["Object", "ObjectType", "PluginManager", "TraversalCallback", "register_phasefunction"]
 
@@ -75,7 +75,7 @@ class PluginManager:
 
     def plugin_type(self, name: str) -> ObjectType:
         """The kind of the plugin `name`, also of those of Mitsuba's that djpt lacks; `Unknown` if there is none."""
-        return KINDS.get((name and kind_of(name)) or home_of(name) or "", ObjectType.Unknown)
+        return KINDS.get((name and kind_of(name)) or mitsuba_kind_of(name) or "", ObjectType.Unknown)
 
 
 _manager = PluginManager()

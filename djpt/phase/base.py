@@ -75,7 +75,7 @@ class PhaseFunction(Plugin):
         raise NotImplementedError
 
     def projected_area(self, mi: MediumInteraction3f, active: Bool | bool = True) -> Float:
-        """The share of the medium's extinction that acts on light from `mi.wi`; 1 unless there are microflakes."""
+        """The fraction of the medium's extinction that acts on light from `mi.wi`; 1 unless there are microflakes."""
         return Float(1)
 
     def max_projected_area(self) -> Float:

@@ -27,7 +27,7 @@ class BlendPhaseFunction(PhaseFunction):
 
     One of them is sampled, the second if the random number is at most `weight`, and the sample is weighted with value
     and density of the mixture (E. Veach, "Robust Monte Carlo Methods for Light Transport Simulation", 1997, 9.2.4: the
-    one-sample model). A context that asks for one component gets its share of the mixture.
+    one-sample model). A context that asks for one component gets its fraction of the mixture.
     """
 
     in_any_frame = True
@@ -52,7 +52,7 @@ class BlendPhaseFunction(PhaseFunction):
     def _part(
         self, ctx: PhaseFunctionContext, mi: MediumInteraction3f, active: Bool | bool
     ) -> tuple[PhaseFunction, PhaseFunctionContext, Float]:
-        """The nested phase function that has the component asked for, its context and its share."""
+        """The nested phase function that has the component asked for, its context and its fraction."""
         weight, first = self._weight(mi, active), self.phase_0.component_count()
         if ctx.component < first:
             return self.phase_0, ctx, 1 - weight

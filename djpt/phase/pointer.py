@@ -77,7 +77,7 @@ class PhaseFunctionPtr(Pointer[PhaseFunction]):
         return self.visit(method, Bool(active))
 
     def projected_area(self, mi: MediumInteraction3f, active: Bool | bool = True) -> Float:
-        """The share of the extinction that acts on light from `mi.wi`; 0 on inactive lanes."""
+        """The fraction of the extinction that acts on light from `mi.wi`; 0 on inactive lanes."""
         return dr.select(active, self.visit(lambda phase: phase.projected_area(mi, active)), 0)
 
     def max_projected_area(self) -> Float:

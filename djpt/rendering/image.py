@@ -20,7 +20,7 @@ from djpt.rendering.schedules.memory import check_memory
 from djpt.rendering.settings import RenderSettings, find_integrator
 from djpt.samplers import Sampler
 from djpt.scene.arguments import find_sensor, require_scene
-from djpt.scene.normalization.normalized_scene import carried, twin
+from djpt.scene.normalization.normalized_scene import normalized, normalized_scene
 from djpt.scene.scene import Scene
 
 __all__ = [
@@ -123,13 +123,13 @@ def prepare_to_record(scene: Scene) -> None:
     for sensor in scene.sensors():
         prepare_sums(sensor.film(), integrator)
         sensor.film().reserve(channel_names(scene, sensor))
-        rendered, its_sensor = carried(scene, sensor) if integrator.fits_any_frame() else (scene, sensor)
+        rendered, its_sensor = normalized(scene, sensor) if integrator.fits_any_frame() else (scene, sensor)
         for all_media in (False, True):
             rendered.replace(all_media=all_media, sensor=its_sensor)
     prepare_tables(scene)
     for shape in scene.shapes():
         shape.make_parameters()
-    found = twin(scene)
+    found = normalized_scene(scene)
     for prepared in (scene,) if found is None else (scene, found[1]):
         integrator.prepare_scene(prepared.replace(emitter_choice=integrator.emitter_choice))
 
@@ -151,12 +151,12 @@ def make_job(scene: Scene, settings: RenderSettings) -> Job:
     integrator.check_scene(scene, sensor)
     integrator.resume()
     if integrator.fits_any_frame():
-        scene, sensor = carried(scene, sensor)
+        scene, sensor = normalized(scene, sensor)
     scene = scene.replace(
         emitter_choice=integrator.emitter_choice,
         all_media=integrator.follows_media,
         sensor=sensor,
-        near_share=dr.opaque(Float, sensor.near_share()) if integrator.measures_distance else None,
+        near_clip_fraction=dr.opaque(Float, sensor.near_clip_fraction()) if integrator.measures_distance else None,
     )
     return job_of(sampler)(
         scene,

@@ -15,7 +15,7 @@ __all__ = ["between", "box_of", "is_convex", "may_intersect"]
 Floats = NDArray[np.float64]
 
 CLOSE = 1e-4
-"""The gap that counts as none, as a share of the smaller shape."""
+"""The gap that counts as none, as a fraction of the smaller shape."""
 
 DIRECTIONS = 64
 """The directions, evenly spread, in which a gap between two shapes is looked for."""

@@ -13,8 +13,8 @@ from djpt.core.lookup import Members
 from djpt.dispatch.ensemble import Ensemble, Lookup
 from djpt.dispatch.family import Family
 from djpt.emitters import Emitter
-from djpt.emitters.light_samplers import make_choice
-from djpt.emitters.light_samplers.base import EmitterChoice
+from djpt.emitters.light_samplers import make_light_sampler
+from djpt.emitters.light_samplers.base import LightSampler
 from djpt.emitters.light_samplers.sampling import LightSampling
 from djpt.emitters.pointer import EmitterPtr
 from djpt.geometry.aggregate import Geometry
@@ -42,7 +42,7 @@ class Lights:
         self._on_miss = infinite[0] if infinite else len(emitters)
         self._choice = "uniform"
         # Views share what was made once.
-        self._choices: dict[str, EmitterChoice] = {}
+        self._light_samplers: dict[str, LightSampler] = {}
         self._brightness: list[float] = []
         self.forget()
 
@@ -58,7 +58,7 @@ class Lights:
 
     def forget_choices(self) -> None:
         """Follow an edit that may change how bright the emitters are."""
-        self._choices.clear()
+        self._light_samplers.clear()
         self._brightness.clear()
 
     def replace(self, lookup: Lookup | None = None, choice: str | None = None) -> Lights:
@@ -77,12 +77,12 @@ class Lights:
     # ---- choice ---------------------------------------------------------------------------
 
     @property
-    def choice(self) -> EmitterChoice:
+    def choice(self) -> LightSampler:
         """The way to choose an emitter, made when it is first needed."""
         name = self._choice
-        if name not in self._choices:
-            self._choices[name] = make_choice(name, self.ensemble.plugins)
-        return self._choices[name]
+        if name not in self._light_samplers:
+            self._light_samplers[name] = make_light_sampler(name, self.ensemble.plugins)
+        return self._light_samplers[name]
 
     @property
     def sampling(self) -> LightSampling:

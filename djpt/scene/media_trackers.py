@@ -90,7 +90,7 @@ class Trackers:
         return flight
 
     def left(self, ray: Ray3f, length: Float, track: Track) -> Color3f:
-        """The share of light that is left behind a segment whose track has ended."""
+        """The fraction of light that is left behind a segment whose track has ended."""
         left = Color3f(1)
         if ray.medium is None:
             return left

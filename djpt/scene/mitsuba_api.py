@@ -180,7 +180,7 @@ class MitsubaScene(SceneQueries):
 
     def own(self, record: PreliminaryIntersection3f | SurfaceInteraction3f) -> None:
         """Make a record one of this scene, to which also those belong that `dr.zeros` makes from now on."""
-        record.home = {self: ()}
+        record.scene_ref = {self: ()}
         note_latest(self)
         if not self.is_view:
             # A script traces a ray before the loop in which it may want gradients.
@@ -292,7 +292,7 @@ class MitsubaScene(SceneQueries):
         ds, weight = light.ds, light.weight
         if test_visibility:
             weight = self.transmittance(self.shadow_ray(ref, ds), weight)  # type: ignore[arg-type]
-        ds.home = {self: ()}
+        ds.scene_ref = {self: ()}
         return ds, weight
 
     def pdf_emitter_direction(
@@ -300,7 +300,7 @@ class MitsubaScene(SceneQueries):
     ) -> Float:
         """The density of `sample_emitter_direction` at `ds`, per unit solid angle at `ref`.
 
-        Of a mere point the normal isn't known: an `emitter_choice` that looks at it needs more.
+        Of a mere point the normal isn't known: a light sampler that looks at it needs more.
         """
         return self.lights.sampling.pdf(observer(ref), ds, active)
 

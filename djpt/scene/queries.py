@@ -53,8 +53,8 @@ class SceneQueries(Plugin):
     """The number of the medium that camera rays start in; None if no media are followed."""
     outer_medium: UInt32 | None = None
     """The number of the medium outside of all bodies, if a sensor says that there is one."""
-    near_share: Float
-    """The share of a camera ray's `maxt` between the camera and its near plane: see `Sensor.near_share`."""
+    near_clip_fraction: Float
+    """The fraction of a camera ray's `maxt` between the camera and its near plane: see `Sensor.near_clip_fraction`."""
 
     def ensembles(self) -> Sequence[Ensemble[Any]]:
         """The plugins whose values a path vertex looks up: BSDFs, emitters, and media if there are any."""
@@ -99,7 +99,7 @@ class SceneQueries(Plugin):
             face=pi.face,
             media=ray.media,
             prim_uv=surface.prim_uv,
-            home={self: ()},
+            scene_ref={self: ()},
         )
         si.found_at(pi.t, valid)
         if ray.times:

@@ -108,7 +108,7 @@ class Scene(MitsubaScene):
 
     def _compile(self) -> None:
         self.lookup: Lookup = Detached()
-        self.twin: Any = ()
+        self.normalized: Any = ()
         """The scene that is rendered in the place of this one, see `djpt.scene.normalization.normalized_scene`; ():
         not known yet."""
         self.geometry = Geometry(self._shapes, self._light_positions(), any(e.from_infinity for e in self._emitters))
@@ -124,7 +124,7 @@ class Scene(MitsubaScene):
         self._families = {}
         self._prepare()
         self.camera_medium = UInt32(self.media.vacuum) if self.media else None
-        self.near_share = Float(0)
+        self.near_clip_fraction = Float(0)
         for shape in self._shapes:
             shape.used_in(self)
         note_latest(self)
@@ -137,7 +137,7 @@ class Scene(MitsubaScene):
         self.silhouettes.forget()
         self._families.clear()
         self._prepare()
-        self.twin = ()
+        self.normalized = ()
 
     def _find_media(self) -> None:
         """Number the media of shapes and sensors."""
@@ -201,14 +201,16 @@ class Scene(MitsubaScene):
         if shapes or any(plugin.kind in ("emitter", "texture", "volume") for plugin in changed):
             self.lights.forget_choices()
         self._prepare()
-        self._refresh_twin(changed)
+        self._refresh_normalized(changed)
 
-    def _refresh_twin(self, changed: Sequence[Plugin]) -> None:
-        """Let the twin follow an edit; it shares most materials and textures, and has copies of all else."""
-        if self.twin and all(plugin.kind in ("bsdf", "texture") and self.twin[0].shares(plugin) for plugin in changed):
-            self.twin[1].refresh(changed)
-        elif self.twin or any(isinstance(plugin, Shape) for plugin in changed):
-            self.twin = ()
+    def _refresh_normalized(self, changed: Sequence[Plugin]) -> None:
+        """Let the normalized copy follow an edit; it shares most materials and textures, and has copies of all else."""
+        if self.normalized and all(
+            plugin.kind in ("bsdf", "texture") and self.normalized[0].shares(plugin) for plugin in changed
+        ):
+            self.normalized[1].refresh(changed)
+        elif self.normalized or any(isinstance(plugin, Shape) for plugin in changed):
+            self.normalized = ()
 
     def prepare_to_record(self) -> None:
         if not recording():
@@ -224,7 +226,7 @@ class Scene(MitsubaScene):
         emitter_choice: str | None = None,
         all_media: bool = False,
         sensor: Sensor | None = None,
-        near_share: Float | None = None,
+        near_clip_fraction: Float | None = None,
     ) -> Scene:
         """A view of this scene with other parts, or the scene itself if nothing changes.
 
@@ -234,11 +236,11 @@ class Scene(MitsubaScene):
             emitter_choice: Another way to choose emitters: see `djpt.emitters.light_samplers`.
             all_media: Whether all media are followed along rays, not only those that absorb without scattering.
             sensor: The sensor that rays come from: it tells where they start, and in which medium.
-            near_share: How far from the sensor its rays start: see `Sensor.near_share`.
+            near_clip_fraction: How far from the sensor its rays start: see `Sensor.near_clip_fraction`.
         """
         lights = self.lights.replace(lookup, emitter_choice)
         more_media = all_media and self.media is not self.every_medium
-        given = (geometry, sensor, near_share)
+        given = (geometry, sensor, near_clip_fraction)
         if lights is self.lights and not more_media and all(part is None for part in given):
             return self
         view = copy.copy(self)
@@ -252,8 +254,8 @@ class Scene(MitsubaScene):
                 view.media = self.media.replace(lookup)
         if geometry is not None:
             view.geometry = geometry
-        if near_share is not None:
-            view.near_share = near_share
+        if near_clip_fraction is not None:
+            view.near_clip_fraction = near_clip_fraction
         if more_media:
             view.media = view.every_medium
             view.camera_medium = UInt32(view.media.vacuum)

@@ -14,7 +14,7 @@ from djpt.core.numeric import as_number
 from djpt.core.records import DirectionSample3f, Ray3f
 from djpt.core.transforms import ScalarTransform4f, as_transform
 from djpt.description.endpoint import Endpoint
-from djpt.description.frame_change import Rooted
+from djpt.description.frame_change import NotMovable
 from djpt.description.plugin import TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import lookup, registered
@@ -43,7 +43,7 @@ class Sensor(SampledRays, Endpoint):
     on_shape: ClassVar[bool] = False
     """Whether it must be nested in a shape; the scene then sets `shape`."""
     can_be_reached: ClassVar[bool] = False
-    """Whether light can be traced towards it: `look_from` and `pdf_ray` exist."""
+    """Whether light can be traced towards it: `sample_wi` and `pdf_ray` exist."""
     uses_aperture = False
     """Whether rays depend on more than the film position: on two more numbers, drawn after those of the film."""
     weight = 1.0
@@ -159,11 +159,11 @@ class Sensor(SampledRays, Endpoint):
 
     def move_into(self, frame: Frame) -> None:
         """By default sensors can't be moved: each class knows where it stands, and which lengths it has."""
-        raise Rooted(f"{self.id()}: its place is unknown")
+        raise NotMovable(f"{self.id()}: its place is unknown")
 
     def move_nested(self, frame: Frame) -> None:
         """Move the medium and the shape that the sensor stands in; each class moves what else it has nested."""
-        self._medium, self.shape = frame.carried(self._medium), frame.carried(self.shape)
+        self._medium, self.shape = frame.copy_of(self._medium), frame.copy_of(self.shape)
 
     # ---- on the host -------------------------------------------------------------------
 
@@ -176,7 +176,7 @@ class Sensor(SampledRays, Endpoint):
         p = self.viewpoint()
         return [] if p is None else [p]
 
-    def near_share(self) -> float:
+    def near_clip_fraction(self) -> float:
         """The distance from sensor to rays' origins, in units of their `maxt`; 0 unless there is a near plane."""
         return 0.0
 
@@ -200,13 +200,13 @@ class Sensor(SampledRays, Endpoint):
         """Sample the ray through a place in [0, 1)^2 on a pixel, which are counted row by row: for `by_pixel` only."""
         raise NotImplementedError
 
-    def look_from(
+    def sample_wi(
         self, ref: Point3f, aperture_sample: Point2f, active: Bool | bool = True
     ) -> tuple[DirectionSample3f, Float]:
         """Sample the way from the point `ref` to the sensor, with its importance, for light paths.
 
         `ds.uv` is the position in the crop window that shows the point, and `ds.p` the origin of its camera ray. The
-        importance is the share of the crop window that a small area across `ds.d` at `ref` covers, per unit of that
+        importance is the fraction of the crop window that a small area across `ds.d` at `ref` covers, per unit of that
         area; 0 where the point isn't seen. Visibility isn't considered.
 
         Raises:
@@ -218,7 +218,7 @@ class Sensor(SampledRays, Endpoint):
         """The density of a camera ray's direction, and its distance from the centre of projection: (pdf, distance).
 
         pdf is per unit solid angle, for film positions that are uniform over the crop window; distance is measured
-        from the centre to the ray's origin. At t from the origin the importance of `look_from` is then
+        from the centre to the ray's origin. At t from the origin the importance of `sample_wi` is then
 
             pdf / (t + distance)^2    per unit area across the ray.
 

@@ -81,7 +81,7 @@ class Distant(Sensor):
 
     def move_into(self, frame: Frame) -> None:
         self.move_nested(frame)
-        self._shape = frame.carried(self._shape)
+        self._shape = frame.copy_of(self._shape)
         if self._point is not None:
             self._point = frame.point(self._point)
         # What is nested follows as soon as the sensor is told how large the scene is.

@@ -49,8 +49,8 @@ class SensorGroup(Sensor):
 
     def move_into(self, frame: Frame) -> None:
         self.move_nested(frame)
-        self._carriers = [frame.carried(carrier) for carrier in self._carriers]
-        self.sensors = [frame.carried(sensor) for sensor in self.sensors]
+        self._carriers = [frame.copy_of(carrier) for carrier in self._carriers]
+        self.sensors = [frame.copy_of(sensor) for sensor in self.sensors]
         self.forget()
 
     # ---- on the host -------------------------------------------------------------------
@@ -68,8 +68,8 @@ class SensorGroup(Sensor):
             box.expand(sensor.bbox())
         return box
 
-    def near_share(self) -> float:
-        shares = {sensor.near_share() for sensor in self.sensors}
+    def near_clip_fraction(self) -> float:
+        shares = {sensor.near_clip_fraction() for sensor in self.sensors}
         if len(shares) > 1:
             raise RenderError(f"{self.id()}: distances need cameras with the same 'near_clip' and 'far_clip'")
         return shares.pop()

@@ -17,7 +17,7 @@ __all__ = ["SampledRays"]
 
 
 class SampledRays:
-    """Mitsuba's methods of sensors, in terms of `ray_through` and `look_from`.
+    """Mitsuba's methods of sensors, in terms of `ray_through` and `sample_wi`.
 
     Numbers and vectors of arguments may be Python's. What is called a weight is the factor from radiance to what the
     sensor measures.
@@ -27,7 +27,7 @@ class SampledRays:
         """See `Sensor`."""
         raise NotImplementedError
 
-    def look_from(
+    def sample_wi(
         self, ref: Point3f, aperture_sample: Point2f, active: Bool | bool = True
     ) -> tuple[DirectionSample3f, Float]:
         """See `Sensor`."""
@@ -103,10 +103,10 @@ class SampledRays:
     ) -> tuple[DirectionSample3f, Color3f]:
         """Sample the way from a point, or from where an interaction lies, to the sensor; and its importance.
 
-        As `look_from`, but `ds.uv` is the position on the crop window in pixels. The importance is 0 on lanes that
+        As `sample_wi`, but `ds.uv` is the position on the crop window in pixels. The importance is 0 on lanes that
         aren't active.
         """
-        ds, importance = self.look_from(Point3f(getattr(it, "p", it)), Point2f(sample), active)
+        ds, importance = self.sample_wi(Point3f(getattr(it, "p", it)), Point2f(sample), active)
         ds.uv = ds.uv * Point2f(self.film().crop_size())
         return ds, Color3f(dr.select(active, importance, 0))
 

@@ -82,15 +82,15 @@ class Orthographic(ProjectiveCamera):
 
         return orthographic_projection(*window, self._near_clip, self._far_clip)
 
-    def near_share(self) -> float:
+    def near_clip_fraction(self) -> float:
         # A scale moves the near plane, as it does in Mitsuba, but not the length of rays.
-        return super().near_share() * self.axis_length
+        return super().near_clip_fraction() * self.axis_length
 
     def ray_through(self, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True) -> Ray3f:
         o = dr.fma(self.across, film_position.x, dr.fma(self.down, film_position.y, self.corner))
         return Ray3f(o, self.direction, maxt=self.depth)
 
-    def look_from(
+    def sample_wi(
         self, ref: Point3f, aperture_sample: Point2f, active: Bool | bool = True
     ) -> tuple[DirectionSample3f, Float]:
         to_ref = ref - self.corner

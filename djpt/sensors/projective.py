@@ -113,7 +113,7 @@ class ProjectiveCamera(Sensor):
         """
         raise NotImplementedError
 
-    def near_share(self) -> float:
+    def near_clip_fraction(self) -> float:
         return self._near_clip / (self._far_clip - self._near_clip)
 
     def crop_window(
@@ -200,7 +200,7 @@ class Central(ProjectiveCamera):
         """
         return Vector3f(0), Vector3f(0)
 
-    def look_from(
+    def sample_wi(
         self, ref: Point3f, aperture_sample: Point2f, active: Bool | bool = True
     ) -> tuple[DirectionSample3f, Float]:
         lens, bend = self.lens_point(aperture_sample)

@@ -155,9 +155,9 @@ class Shape(ShapeQuestions):
         self.to_world = frame.moved(self.to_world)
 
     def move_nested(self, frame: Frame) -> None:
-        self._bsdf = frame.carried(self.bsdf())
-        self._emitter, self._sensor = frame.carried(self._emitter), frame.carried(self._sensor)
-        self._interior, self._exterior = frame.carried(self._interior), frame.carried(self._exterior)
+        self._bsdf = frame.copy_of(self.bsdf())
+        self._emitter, self._sensor = frame.copy_of(self._emitter), frame.copy_of(self._sensor)
+        self._interior, self._exterior = frame.copy_of(self._interior), frame.copy_of(self._exterior)
         for nested in (self._emitter, self._sensor):
             if nested is not None:
                 nested.shape = self

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from djpt.description.registry import register_shape
 from djpt.shapes.curve import Curves
-from djpt.shapes.curve_segments import Pieces, cubic_pieces
+from djpt.shapes.curve_segments import CurveSegments, cubic_pieces
 from djpt.shapes.shape_type import ShapeType
 
 __all__ = ["BSplineCurve"]
@@ -25,7 +25,7 @@ class BSplineCurve(Curves):
     shape_kind = ShapeType.BSplineCurve
     least_points = 4
 
-    def pieces(self) -> Pieces:
+    def pieces(self) -> CurveSegments:
         return cubic_pieces(self.placed_points(), self.segments)
 
 

@@ -16,7 +16,7 @@ from djpt.errors import ParameterError, SceneError
 from djpt.jit.kernels import own_copy, own_floats
 from djpt.shapes.axes import AxisPool
 from djpt.shapes.base import Shape
-from djpt.shapes.curve_segments import Pieces
+from djpt.shapes.curve_segments import CurveSegments
 from djpt.shapes.mesh_file import MeshFile
 
 __all__ = ["Curves"]
@@ -108,7 +108,7 @@ class Curves(Shape):
         along, reach = points[:, :3] @ direction, points[:, 3] * np.linalg.norm(direction)
         return float((along - reach).min()), float((along + reach).max())
 
-    def pieces(self) -> Pieces:
+    def pieces(self) -> CurveSegments:
         """The pieces that the curves are cut into, in world space."""
         raise NotImplementedError
 

@@ -13,7 +13,7 @@ __all__ = [
     "ELLIPSOID",
     "LINE",
     "WORDS",
-    "Pieces",
+    "CurveSegments",
     "cubic_at",
     "cubic_pieces",
     "ellipsoid_pieces",
@@ -38,7 +38,7 @@ INNER = 4.0
 
 
 @dataclass
-class Pieces:
+class CurveSegments:
     """The pieces of one shape; the first axis of most arrays is the piece."""
 
     maps: Array
@@ -53,7 +53,9 @@ class Pieces:
     """The control points of curves, (N, 4): place and radius."""
 
 
-def straight(start: Array, end: Array, radii: Array, closed: bool, rows: NDArray[np.uint32], points: Array) -> Pieces:
+def straight(
+    start: Array, end: Array, radii: Array, closed: bool, rows: NDArray[np.uint32], points: Array
+) -> CurveSegments:
     """Pieces with straight axes from `start` (P, 3) to `end`; hulls of balls if `closed`, else tubes."""
     low, high = (
         side(start + sign * radii[:, :1], end + sign * radii[:, 1:])
@@ -73,7 +75,7 @@ def straight(start: Array, end: Array, radii: Array, closed: bool, rows: NDArray
     radii = radii / length[:, None]
     if not closed:
         radii[:, 0] = -np.maximum(radii[:, 0], 1e-20)
-    return Pieces(with_shift(linear, start), radii.astype(np.float32), enlarged(low, high), rows, points)
+    return CurveSegments(with_shift(linear, start), radii.astype(np.float32), enlarged(low, high), rows, points)
 
 
 def with_shift(linear: Array, origin: Array) -> Array:
@@ -87,7 +89,7 @@ def enlarged(low: Array, high: Array) -> Array:
     return np.concatenate([low - margin, high + margin], axis=1)
 
 
-def ellipsoid_pieces(centers: Array, axes: Array) -> Pieces:
+def ellipsoid_pieces(centers: Array, axes: Array) -> CurveSegments:
     """The pieces of ellipsoids: images of the unit ball under the linear maps `axes` (N, 3, 3), moved to `centers`."""
     reach = np.linalg.norm(axes, axis=2)
     count = len(centers)
@@ -95,7 +97,7 @@ def ellipsoid_pieces(centers: Array, axes: Array) -> Pieces:
     rows = rows_of(numbers * 0, numbers, count, ELLIPSOID, ends, ends)
     radii = np.tile(np.array([INNER, 0], np.float32), (count, 1))
     maps = with_shift(INNER * np.asarray(np.linalg.inv(axes), np.float64), centers)
-    return Pieces(maps, radii, enlarged(centers - reach, centers + reach), rows, np.zeros((0, 4)))
+    return CurveSegments(maps, radii, enlarged(centers - reach, centers + reach), rows, np.zeros((0, 4)))
 
 
 def rows_of(
@@ -108,7 +110,7 @@ def rows_of(
     return rows
 
 
-def linear_pieces(points: Array, segments: NDArray[np.uint32]) -> Pieces:
+def linear_pieces(points: Array, segments: NDArray[np.uint32]) -> CurveSegments:
     """The pieces of linear curves, one for each segment; `points` (N, 4), `segments` the first point of each."""
     a, b = points[segments], points[segments + 1]
     count = len(segments)
@@ -117,7 +119,7 @@ def linear_pieces(points: Array, segments: NDArray[np.uint32]) -> Pieces:
     return straight(a[:, :3], b[:, :3], np.stack([a[:, 3], b[:, 3]], axis=1), True, rows, points)
 
 
-def cubic_pieces(points: Array, segments: NDArray[np.uint32]) -> Pieces:
+def cubic_pieces(points: Array, segments: NDArray[np.uint32]) -> CurveSegments:
     """The pieces of cubic B-splines: chords, as many as keep them near the curve.
 
     After K. Nakamaru and Y. Ohno, "Ray Tracing for Curves Primitive", WSCG 2002, but cut in advance. A chord of a curve

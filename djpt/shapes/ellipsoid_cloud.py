@@ -30,7 +30,7 @@ PARTS = {"ellipsoid": (0, WIDTH), "center": (0, 3), "scale": (3, 3), "quaternion
 SOURCES = ("filename", "data", "centers")
 FULL = "scales must be positive, and quaternions not 0"
 LEAST_RESPONSE = 0.01
-"""The share of its opacity at which a Gaussian's support ends, with `extent_adaptive_clamping`."""
+"""The fraction of its opacity at which a Gaussian's support ends, with `extent_adaptive_clamping`."""
 
 
 class Cloud(Shape):

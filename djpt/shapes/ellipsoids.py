@@ -9,7 +9,7 @@ from djpt.core.transforms import ScalarTransform4f
 from djpt.description.properties import Properties
 from djpt.description.registry import register_shape
 from djpt.shapes.axes import AxisPool
-from djpt.shapes.curve_segments import Pieces, ellipsoid_pieces
+from djpt.shapes.curve_segments import CurveSegments, ellipsoid_pieces
 from djpt.shapes.ellipsoid_cloud import Cloud
 from djpt.shapes.shape_type import ShapeType
 
@@ -58,7 +58,7 @@ class Ellipsoids(Cloud):
         along, reach = centers @ direction, np.linalg.norm(direction @ axes, axis=1)
         return float((along - reach).min()), float((along + reach).max())
 
-    def pieces(self) -> Pieces:
+    def pieces(self) -> CurveSegments:
         """The ellipsoids as pieces, in world space."""
         return ellipsoid_pieces(*self._placed())
 

@@ -72,7 +72,7 @@ class Instance(Shape):
         return self.group.primitive_count()
 
     def move_nested(self, frame: Frame) -> None:
-        self.group = frame.carried(self.group)
+        self.group = frame.copy_of(self.group)
 
     def place(self, pool: AxisPool) -> None:
         """Do nothing: what kernels read of an instance belongs to the scene's geometry."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from djpt.description.registry import register_shape
 from djpt.shapes.curve import Curves
-from djpt.shapes.curve_segments import Pieces, linear_pieces
+from djpt.shapes.curve_segments import CurveSegments, linear_pieces
 from djpt.shapes.shape_type import ShapeType
 
 __all__ = ["LinearCurve"]
@@ -22,7 +22,7 @@ class LinearCurve(Curves):
     shape_kind = ShapeType.LinearCurve
     least_points = 2
 
-    def pieces(self) -> Pieces:
+    def pieces(self) -> CurveSegments:
         return linear_pieces(self.placed_points(), self.segments)
 
 

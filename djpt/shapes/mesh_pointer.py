@@ -102,7 +102,7 @@ class MeshPtr(ShapePtr):
     ) -> PreliminaryIntersection3f:
         """The hit of each ray with triangle number `index`: see `djpt.Mesh.ray_intersect_triangle`."""
         miss = dr.zeros(PreliminaryIntersection3f)
-        miss.home = {}
+        miss.scene_ref = {}
         return self._ask(lambda mesh, mine: mesh.ray_intersect_triangle(index, ray, mine & active), miss)
 
     def _ask(self, method: Callable[[Any, Bool], Any], otherwise: Any) -> Any:  # type: ignore[override]

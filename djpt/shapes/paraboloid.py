@@ -77,7 +77,7 @@ class Paraboloid(Revolution):
         vertex, axis, radius, length = self._host
         along_axis = float(direction.dot(axis))
         across = math.sqrt(max(0.0, float(direction.dot(direction)) - along_axis**2))
-        # At the share s of the rim's radius, the extent is s^2 length along the axis, and s radius across it.
+        # At the fraction s of the rim's radius, the extent is s^2 length along the axis, and s radius across it.
         slope, bend = across * radius, along_axis * length
         shares = [0.0, 1.0]
         if bend:

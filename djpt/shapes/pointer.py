@@ -186,7 +186,7 @@ class ShapePtr(Pointer[Shape]):
         self, ray: Ray3f, pi: PreliminaryIntersection3f, ray_flags: int = RayFlags.All, active: Bool | bool = True
     ) -> SurfaceInteraction3f:
         """The surface point of a hit: see `PreliminaryIntersection3f.compute_surface_interaction`."""
-        if pi.home:
+        if pi.scene_ref:
             return pi.compute_surface_interaction(ray, ray_flags, active)
         return self._asked(
             lambda shape, mine: shape.alone().surface_interaction_of(pi, ray, ray_flags, active & mine),
@@ -211,12 +211,12 @@ class ShapePtr(Pointer[Shape]):
         if len(present) == 1:
             return method(self.plugins[present[0]], self.is_valid())
         result = dr.zeros(kind, dr.width(self.index))
-        result.home = {}
+        result.scene_ref = {}
         for i in present:
             mine = self.index == i
             result = dr.select(mine, loose(method(self.plugins[i], mine)), result)
         hit = dr.select(result.is_valid(), self.index, NONE)
-        result.shape = type(self).holding(index=hit, home=self.home)
+        result.shape = type(self).holding(index=hit, scene_ref=self.scene_ref)
         return result
 
     # ---- silhouettes, and how shapes move --------------------------------------------------------
@@ -278,4 +278,4 @@ def loose(record: Any) -> Any:
     """A record of a scene as one of none, with all its fields made, so that it can be selected with others."""
     for name in type(record).DRJIT_STRUCT:
         getattr(record, name)
-    return record.replaced(home={}, **{name: () for name in ("media", "nearby") if hasattr(record, name)})
+    return record.replaced(scene_ref={}, **{name: () for name in ("media", "nearby") if hasattr(record, name)})

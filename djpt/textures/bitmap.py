@@ -71,7 +71,7 @@ class Bitmap(UVTexture):
         """Cells of the unit square by their brightness, if the texture is that of a light."""
         self.tents = False
         """True if the cells are texels, and the density is interpolated bilinearly between them."""
-        self._twin: Bitmap | None = None
+        self._sampling_copy: Bitmap | None = None
         self._measure()
 
     # ---- on the host -------------------------------------------------------------------
@@ -106,14 +106,14 @@ class Bitmap(UVTexture):
         """This texture with a distribution, for calls by a script; None in kernels, where only lights have one."""
         if not (dr.is_tensor_v(self.data) and not recording()):
             return None
-        if self._twin is None:
-            self._twin = copy.copy(self)
-            self._twin.prepare_sampling()
-        return self._twin
+        if self._sampling_copy is None:
+            self._sampling_copy = copy.copy(self)
+            self._sampling_copy.prepare_sampling()
+        return self._sampling_copy
 
     def parameters_changed(self, keys: Sequence[str]) -> None:
         super().parameters_changed(keys)
-        self._twin = None
+        self._sampling_copy = None
         if "data" in keys:
             self._measure()
         # While `dr.freeze` records, the old density stays: less fitting, but a density.
@@ -230,7 +230,7 @@ class Bitmap(UVTexture):
         first = dr.floor(place)
         columns = [self._wrap(first.x + k, 0) for k in range(2)]
         rows = [self._wrap(first.y + k, 1) for k in range(2)]
-        # Infinite places, too, need a share: NaN would spread.
+        # Infinite places, too, need a fraction: NaN would spread.
         share = Point2f(*(maximum(place[k] - first[k], Float(0)) for k in range(2)))
         return share, columns, rows
 

@@ -12,7 +12,7 @@ from drjit.scalar import Array3i as ScalarArray3i
 from djpt.core.bounding_box import ScalarBoundingBox3f
 from djpt.core.transforms import ScalarTransform4f
 from djpt.description.allowed import Allowed
-from djpt.description.frame_change import Rooted
+from djpt.description.frame_change import NotMovable
 from djpt.description.plugin import Plugin
 from djpt.description.properties import Properties
 from djpt.dispatch.scripted import accept_scripts
@@ -56,7 +56,7 @@ class Volume(Plugin):
     def move_into(self, frame: Frame) -> None:
         """By default only what is the same everywhere can be moved."""
         if not self.is_constant:
-            raise Rooted(f"{self.id()}: its variation in space is unknown")
+            raise NotMovable(f"{self.id()}: its variation in space is unknown")
         self.move_nested(frame)
 
     # ---- on the host -------------------------------------------------------------------

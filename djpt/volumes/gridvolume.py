@@ -242,7 +242,7 @@ class GridVolume(Volume):
         first = dr.floor(place)
         near = [[wrapped(first[k] + step, self.counts[k], self.wrap_mode) for step in range(2)] for k in range(3)]
         corners = [self._at(x, y, z, active) for z, y, x in itertools.product(near[2], near[1], near[0])]
-        # Infinite places, too, need a share: NaN would spread.
+        # Infinite places, too, need a fraction: NaN would spread.
         return Vector3f(*(maximum(place[k] - first[k], Float(0)) for k in range(3))), corners
 
     def _one(self, it: Any, u: Float, active: Bool | bool) -> Any:

@@ -12,10 +12,10 @@ from djpt.jit.types import Normal3f, Point2f, Point3f, UInt32, Vector3f
 if TYPE_CHECKING:
     from djpt.scene.scene import Scene
 
-__all__ = ["KeptSurface"]
+__all__ = ["CompactInteraction"]
 
 
-class KeptSurface(Record):
+class CompactInteraction(Record):
     """The fields of a surface point that BSDFs and emitters look at.
 
     What nobody reads costs nothing: LLVM leaves it out.
@@ -40,8 +40,8 @@ class KeptSurface(Record):
     def interaction(self, scene: Scene, media: tuple[UInt32, ...] = ()) -> SurfaceInteraction3f:
         """The surface point, with the medium of the ray that has met it, if that matters."""
         kept = {name: getattr(self, name) for name in SURFACE}
-        si: SurfaceInteraction3f = SurfaceInteraction3f.holding(**kept, media=media, home={scene: ()})
+        si: SurfaceInteraction3f = SurfaceInteraction3f.holding(**kept, media=media, scene_ref={scene: ()})
         return si
 
 
-SURFACE = tuple(KeptSurface.DRJIT_STRUCT)
+SURFACE = tuple(CompactInteraction.DRJIT_STRUCT)

@@ -9,8 +9,8 @@ import drjit as dr
 
 from djpt.core.records import RAY_EPSILON, EmissionSample, EmitterFlags, Ray3f, has_flag
 from djpt.emitters.pointer import EmitterPtr
-from djpt.integrators.bidirectional.compact_interaction import KeptSurface
-from djpt.integrators.paths.path_vertex import Matter, Place
+from djpt.integrators.bidirectional.compact_interaction import CompactInteraction
+from djpt.integrators.paths.path_vertex import MediumVertex, PathVertex
 from djpt.jit.kernels import maximum
 from djpt.jit.types import Color3f, Float, Point3f, UInt32, Vector3f
 from djpt.samplers.base import SampleStream
@@ -54,7 +54,7 @@ def is_beam(flags: Any) -> Any:
     return has_flag(flags, EmitterFlags.Surface) & has_flag(flags, EmitterFlags.DeltaDirection)
 
 
-class LightVertex(KeptSurface):
+class LightVertex(CompactInteraction):
     """A vertex of a light path, as local memory keeps it: the surface point, and what arrives there."""
 
     flux: Color3f
@@ -63,25 +63,25 @@ class LightVertex(KeptSurface):
     depth: UInt32
 
     @staticmethod
-    def at(place: Place, flux: Color3f, vcm: Float, vc: Float, depth: UInt32) -> LightVertex:
+    def at(path_vertex: PathVertex, flux: Color3f, vcm: Float, vc: Float, depth: UInt32) -> LightVertex:
         """The vertex where a light path of `depth` edges has arrived with a flux.
 
         For `vcm` and `vc` see `djpt.integrators.bidirectional.subpath.End`.
         """
-        kept = KeptSurface.fields_of(place.si)
-        kind, matter = LightVertex, place.matter
-        if matter is not None:
-            kind = VertexInMatter
-            kept.update(medium=dr.select(matter.inside, matter.medium, NOWHERE), back=matter.wi)
+        kept = CompactInteraction.fields_of(path_vertex.si)
+        kind, medium_vertex = LightVertex, path_vertex.medium_vertex
+        if medium_vertex is not None:
+            kind = MediumLightVertex
+            kept.update(medium=dr.select(medium_vertex.inside, medium_vertex.medium, NOWHERE), back=medium_vertex.wi)
         vertex: LightVertex = kind.holding(**kept, flux=flux, vcm=vcm, vc=vc, depth=depth)
         return vertex
 
-    def place(self, scene: Scene) -> Place:
+    def vertex(self, scene: Scene) -> PathVertex:
         """The vertex as connections see it."""
-        return Place(self.interaction(scene), None)
+        return PathVertex(self.interaction(scene), None)
 
 
-class VertexInMatter(LightVertex):
+class MediumLightVertex(LightVertex):
     """A vertex of a light path that may be a point in a medium."""
 
     medium: UInt32
@@ -89,10 +89,10 @@ class VertexInMatter(LightVertex):
     back: Vector3f
     """The direction back along the ray, in world space."""
 
-    def place(self, scene: Scene) -> Place:
-        plain = super().place(scene)
+    def vertex(self, scene: Scene) -> PathVertex:
+        plain = super().vertex(scene)
         inside = self.medium != NOWHERE
-        return Place(plain.si, Matter(inside, dr.select(inside, self.medium, 0), self.back))
+        return PathVertex(plain.si, MediumVertex(inside, dr.select(inside, self.medium, 0), self.back))
 
 
 NOWHERE = 0xFFFFFFFF
@@ -101,4 +101,4 @@ NOWHERE = 0xFFFFFFFF
 
 def vertices(scene: Scene, size: int) -> Any:
     """Local memory for some vertices of a light path."""
-    return dr.alloc_local(VertexInMatter if scene.media.scatter else LightVertex, size)
+    return dr.alloc_local(MediumLightVertex if scene.media.scatter else LightVertex, size)

@@ -10,9 +10,9 @@ import drjit as dr
 
 from djpt.core.records import BSDFContext, BSDFFlags, BSDFSample3f, Ray3f, Reference, SurfaceInteraction3f, has_flag
 from djpt.integrators.bdpt import BidirectionalPath
-from djpt.integrators.bidirectional.compact_interaction import KeptSurface
-from djpt.integrators.bidirectional.subpath import End, meeting, mis_weight
-from djpt.integrators.paths.path_vertex import Place, Scattering
+from djpt.integrators.bidirectional.compact_interaction import CompactInteraction
+from djpt.integrators.bidirectional.subpath import Subpath, meeting, mis_weight
+from djpt.integrators.paths.path_vertex import PathVertex, Scattering
 from djpt.jit.kernels import loop_traced_once, wide
 from djpt.jit.types import Bool, Color3f, Float, Point2f, UInt32
 from djpt.materials.adjoint import sample_light
@@ -23,16 +23,16 @@ from djpt.sensors.base import Sensor
 if TYPE_CHECKING:
     from djpt.scene.scene import Scene
 
-__all__ = ["LastVertex", "OneStrategy", "numbers_drawn"]
+__all__ = ["LastVertex", "SingleStrategy", "numbers_drawn"]
 
 
 def numbers_drawn(edges: int) -> int:
-    """The most numbers that `OneStrategy.sample` draws for a path of so many edges."""
+    """The most numbers that `SingleStrategy.sample` draws for a path of so many edges."""
     # The emission, the film with lens and time, the joint; then three for each vertex.
     return 5 + 5 + 2 + 3 * edges
 
 
-class LastVertex(KeptSurface):
+class LastVertex(CompactInteraction):
     """The last vertex of one side of a path, as local memory keeps it."""
 
     valid: UInt32
@@ -46,18 +46,18 @@ class LastVertex(KeptSurface):
     """1 where the path has met a surface before that it didn't pass straight through."""
 
     @staticmethod
-    def at(si: SurfaceInteraction3f, end: End, covered: Bool) -> LastVertex:
-        """The vertex `si`, where the `end` of a path has arrived; on a miss, the sky."""
-        kept = KeptSurface.fields_of(si)
+    def at(si: SurfaceInteraction3f, subpath: Subpath, covered: Bool) -> LastVertex:
+        """The vertex `si`, where the `subpath` of a path has arrived; on a miss, the sky."""
+        kept = CompactInteraction.fields_of(si)
         kept["face"] = dr.select(si.is_valid(), si.face, 0)
         vertex: LastVertex = LastVertex.holding(
             **kept,
             valid=dr.select(si.is_valid(), UInt32(1), 0),
             medium=UInt32(0) if si.medium is None else si.medium,
-            throughput=end.throughput,
-            vcm=end.vcm,
-            vc=end.vc,
-            depth=end.depth,
+            throughput=subpath.throughput,
+            vcm=subpath.vcm,
+            vc=subpath.vc,
+            depth=subpath.depth,
             covered=dr.select(covered, UInt32(1), 0),
         )
         return vertex
@@ -71,17 +71,17 @@ class LastVertex(KeptSurface):
             si.time = time[0]
         return si
 
-    def end(self, si: SurfaceInteraction3f) -> End:
+    def subpath(self, si: SurfaceInteraction3f) -> Subpath:
         """The subpath that ends here, at the surface point `si`."""
         d = dr.select(si.is_valid(), si.to_world(self.wi), self.wi)
-        return End(Ray3f(self.p, -d), self.throughput, self.vcm, self.vc, Float(0), None, self.depth)
+        return Subpath(Ray3f(self.p, -d), self.throughput, self.vcm, self.vc, Float(0), None, self.depth)
 
 
 @dataclass
 class Walk:
     """Loop state: first the path from the light is walked, then that from the camera."""
 
-    end: End
+    subpath: Subpath
     numbers: Any
     on_light: Bool
     left: UInt32
@@ -96,7 +96,7 @@ class Walk:
 
 
 @dataclass
-class OneStrategy:
+class SingleStrategy:
     """Samples the light of paths of a given length, each by one of the strategies.
 
     With N strategies (s, t) for paths of k edges, s + t = k + 1, the expectation of
@@ -107,7 +107,7 @@ class OneStrategy:
     brings. k rays are traced for a path of k edges, no matter which strategy makes it.
     """
 
-    ends: BidirectionalPath
+    bdpt: BidirectionalPath
     scene: Scene
     camera: Sensor
     ray_at: Callable[[Point2f, SampleStream], Ray3f]
@@ -131,23 +131,23 @@ class OneStrategy:
         pixel is the mean over all samples times the number of pixels. Also the stream, and the local memory `last` of
         two `LastVertex`, which is only used meanwhile.
         """
-        scene, ends = self.scene, self.ends
+        scene, bdpt = self.scene, self.bdpt
         t = edges + 1 - s
 
         # ---------------- Where both sides begin --------------
-        light, power = ends.at_light(scene, numbers)
-        place = numbers.next_2d()
-        ray = self.ray_at(place, numbers)
+        light, power = bdpt.at_light(scene, numbers)
+        position = numbers.next_2d()
+        ray = self.ray_at(position, numbers)
         if ray.times:
             light.ray.time = ray.time
-        camera = ends.at_camera(scene, self.camera, ray, Bool(True))
+        camera = bdpt.at_camera(scene, self.camera, ray, Bool(True))
         joint = numbers.next_2d()
 
         # ----------------------- Walk -------------------------
         lanes, from_light = dr.width(edges, numbers, ray), s > 1
         light, camera = replace(light, eta=None), replace(camera, eta=None)
         start = Walk(
-            end=dr.select(from_light, light, camera),
+            subpath=dr.select(from_light, light, camera),
             numbers=numbers,
             on_light=from_light,
             left=dr.select(from_light, s, t) - 1,
@@ -167,27 +167,29 @@ class OneStrategy:
         # ----------------------- Join -------------------------
         at_light = walk.last.read(UInt32(0), walk.complete & from_light)
         at_camera = walk.last.read(UInt32(1), walk.complete & (t > 1))
-        shown, brought = self.joined(s, t, walk.complete, at_light, at_camera, power, joint, place, ray.times)
+        shown, brought = self.joined(s, t, walk.complete, at_light, at_camera, power, joint, position, ray.times)
         return shown, brought * Float(self.count(edges)), walk.numbers, walk.last
 
-    def next_vertex(self, walk: Walk, camera: End, t: UInt32) -> Walk:
+    def next_vertex(self, walk: Walk, camera: Subpath, t: UInt32) -> Walk:
         """Walk to the next vertex, and turn to the camera's side after the last one of the light's."""
-        scene, h, ray, on_light = self.scene, self.ends.h, walk.end.ray, walk.on_light
-        passes_lights = ~on_light & (walk.end.depth == 1) if self.ends.hide_emitters else None
+        scene, h, ray, on_light = self.scene, self.bdpt.h, walk.subpath.ray, walk.on_light
+        passes_lights = ~on_light & (walk.subpath.depth == 1) if self.bdpt.hide_emitters else None
         si = scene.surface_interaction(ray, scene.closest_hit(ray, through_lights=passes_lights), full=scene.needs_uv)
-        place, hit = Place(si, None), si.is_valid()
-        end = walk.end.arrived(place, scene.media.transmittance(ray, si.t), h)
+        vertex, hit = PathVertex(si, None), si.is_valid()
+        subpath = walk.subpath.arrived(vertex, scene.media.transmittance(ray, si.t), h)
         is_last = walk.left == 1
-        walk.last.write(LastVertex.at(si, end, walk.covered), dr.select(on_light, UInt32(0), 1), walk.active & is_last)
+        walk.last.write(
+            LastVertex.at(si, subpath, walk.covered), dr.select(on_light, UInt32(0), 1), walk.active & is_last
+        )
         turns = is_last & on_light & hit & (t > 1)
 
         goes_on = walk.active & hit & ~is_last
         s = self.scattered(si, on_light, walk.numbers, goes_on)
-        throughput = end.throughput * s.weight
+        throughput = subpath.throughput * s.weight
         goes_on &= dr.max(throughput) > 0
         passes = has_flag(s.sample.sampled_type, BSDFFlags.Null)
         walk.covered |= ~on_light & ~passes
-        walk.end = dr.select(turns, camera, end.scattered(place, s, throughput, h))
+        walk.subpath = dr.select(turns, camera, subpath.scattered(vertex, s, throughput, h))
         # What has met the sky may still be a path: see `joined`.
         walk.complete = walk.active & is_last & ~turns & (hit | ~on_light)
         walk.active = goes_on | (walk.active & turns)
@@ -219,14 +221,14 @@ class OneStrategy:
         z: LastVertex,
         power: Float,
         joint: Point2f,
-        place: Point2f,
+        position: Point2f,
         time: tuple[Float, ...],
     ) -> tuple[Point2f, Color3f]:
         """The place on the film, and the weighted light, of a path whose sides end at `v`, the light's, and `z`."""
-        scene, ends, h = self.scene, self.ends, self.ends.h
+        scene, bdpt, h = self.scene, self.bdpt, self.bdpt.h
         lit, seen = v.surface(scene, time), z.surface(scene, time)
-        at_lit, at_seen = Place(lit, None), Place(seen, None)
-        end = z.end(seen)
+        at_lit, at_seen = PathVertex(lit, None), PathVertex(seen, None)
+        subpath = z.subpath(seen)
         flux = v.throughput * power
         sampled, shown = s == 1, t == 1
 
@@ -238,39 +240,39 @@ class OneStrategy:
 
         d_seen = dr.select(sampled, ds.d, d)
         value, pdf, back = at_seen.evaluate(scene, True, d_seen)
-        by_sample = ends.light_sample_weight(scene, end, at_seen, ds, pdf, back)
+        by_sample = bdpt.light_sample_weight(scene, subpath, at_seen, ds, pdf, back)
         d_lit, importance = -d, Float(0)
         if self.camera.can_be_reached:
-            to_camera, importance = self.camera.look_from(v.p, joint)
+            to_camera, importance = self.camera.sample_wi(v.p, joint)
             d_lit = dr.select(shown, to_camera.d, d_lit)
-            place = dr.select(shown, to_camera.uv, place)
+            position = dr.select(shown, to_camera.uv, position)
         sent, sent_pdf, sent_back = at_lit.evaluate(scene, False, d_lit)
 
         # From one vertex to the other, or to the lens.
         at_light = pdf * dr.abs(dr.dot(lit.n, d)) * falloff
         at_camera = sent_pdf * dr.abs(dr.dot(seen.n, d)) * falloff
-        by_camera = dr.select(shown, Float(0), meeting(end.vcm, end.vc, at_camera, back, h))
+        by_camera = dr.select(shown, Float(0), meeting(subpath.vcm, subpath.vc, at_camera, back, h))
         seen_from = dr.select(shown, importance * dr.abs(dr.dot(lit.n, d_lit)), at_light)
         by_light = meeting(v.vcm, v.vc, seen_from, sent_back, h)
         weight = dr.select(sampled, by_sample, mis_weight(by_light + by_camera))
 
-        value = dr.select(shown, 1, end.throughput * value)
+        value = dr.select(shown, 1, subpath.throughput * value)
         sent = dr.select(sampled, light.weight, flux * sent * dr.select(shown, importance, falloff))
         joins = (s > 0) & (shown | smooth(seen)) & (sampled | smooth(lit))
         result = dr.select(complete & joins & (shown | seen.is_valid()), value * sent * weight, 0)
         ray = dr.select(sampled, scene.shadow_ray(seen, ds), seen.spawn_ray_to(lit.offset_p(-d)))
         if self.camera.can_be_reached:
-            if ends.hide_emitters:
+            if bdpt.hide_emitters:
                 result = dr.select(shown & lit.emitter().is_valid(), 0, result)
             ray = dr.select(shown, lit.spawn_ray_to(to_camera.p), ray)
-        through_lights = shown if ends.hide_emitters else False
+        through_lights = shown if bdpt.hide_emitters else False
         result = scene.transmittance(ray, result, to_emitter=False, through_lights=through_lights)
 
         # --------------------- Light met ----------------------
-        met, met_weight = ends.met(scene, end, at_seen, z.covered != 0)
+        met, met_weight = bdpt.met(scene, subpath, at_seen, z.covered != 0)
         result = dr.select(s == 0, dr.select(complete, met * met_weight, 0), result)
         largest = dr.max(result)
-        return place, dr.select((largest > 0) & (largest < dr.inf), result, 0)
+        return position, dr.select((largest > 0) & (largest < dr.inf), result, 0)
 
 
 def smooth(si: SurfaceInteraction3f) -> Bool:

@@ -14,7 +14,7 @@ from djpt.films.footprint import in_window
 from djpt.integrators.bidirectional.splatting import Sink
 from djpt.jit.types import Bool, Color3f, Float, Point2f, UInt32
 
-__all__ = ["MAX_PYRAMID", "Ledger", "layer_names", "strategies"]
+__all__ = ["MAX_PYRAMID", "StrategyImages", "layer_names", "strategies"]
 
 MAX_PYRAMID = 8
 """The most edges of the paths in a pyramid: it has 88 images then."""
@@ -30,7 +30,7 @@ def layer_names(max_depth: int) -> Sequence[str]:
     return [f"s{s}t{t}{kind}.{c}" for s, t in strategies(max_depth) for kind in ("", ".alone") for c in "RGB"]
 
 
-class Ledger:
+class StrategyImages:
     """Books the light of a sample, if asked for, under the strategy that has found it."""
 
     def __init__(self, sink: Sink, position: Point2f, by_strategy: bool) -> None:
@@ -41,7 +41,7 @@ class Ledger:
 
     def weighed(self, value: Color3f, weight: Float, s: UInt32, t: UInt32) -> Color3f:
         """The light `value` of the strategy (s, t) with its weight; what the sample's own pixel receives."""
-        self._book(self._position, value, weight, s, s + t - 1, self.inside)
+        self._add(self._position, value, weight, s, s + t - 1, self.inside)
         return value * weight
 
     def show(self, position: Point2f, value: Color3f, weight: Float, s: UInt32) -> None:
@@ -51,9 +51,9 @@ class Ledger:
         camera path inside.
         """
         self._sink.add(position, value * weight, self.inside & (dr.max(value) > 0))
-        self._book(position, value, weight, s, s, self.inside)
+        self._add(position, value, weight, s, s, self.inside)
 
-    def _book(self, position: Point2f, value: Color3f, weight: Float, s: UInt32, edges: UInt32, active: Bool) -> None:
+    def _add(self, position: Point2f, value: Color3f, weight: Float, s: UInt32, edges: UInt32, active: Bool) -> None:
         if not self._by_strategy:
             return
         # Row k begins after rows of 3, 4, .. k entries, which are (k - 2) (k + 3) / 2. Two layers each.

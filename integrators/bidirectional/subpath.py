@@ -23,18 +23,18 @@ import drjit as dr
 from djpt.core.records import BSDFFlags, Ray3f, has_flag
 from djpt.integrators.base import SMALL
 from djpt.integrators.bidirectional.light_paths import LightVertex
-from djpt.integrators.paths.path_vertex import Place, Scattering
+from djpt.integrators.paths.path_vertex import PathVertex, Scattering
 from djpt.jit.types import Bool, Color3f, Float, Point2f, UInt32
 
 __all__ = [
     "CameraHit",
     "CameraLane",
     "CameraStep",
-    "End",
     "Heuristic",
     "Lane",
     "LightHit",
     "LightStep",
+    "Subpath",
     "balance",
     "meeting",
     "mis_weight",
@@ -62,7 +62,7 @@ def mis_weight(others: Float) -> Float:
 
 
 def meeting(vcm: Float, vc: Float, density: Float, back: Float, h: Heuristic) -> Float:
-    """The share of one side, whose last vertex has `vcm` and `vc`, in the sum of a weight.
+    """The fraction of one side, whose last vertex has `vcm` and `vc`, in the sum of a weight.
 
     `density` is that of reaching this vertex from the other side, per unit area, and `back` that of going on from
     there to the vertex before it, per unit solid angle.
@@ -71,7 +71,7 @@ def meeting(vcm: Float, vc: Float, density: Float, back: Float, h: Heuristic) ->
 
 
 @dataclass
-class End:
+class Subpath:
     """A path that grows from the camera or from a light, up to its last vertex."""
 
     ray: Ray3f
@@ -88,65 +88,67 @@ class End:
     """Product of relative indices of refraction; None in scenes without refraction."""
     depth: UInt32
     """The number of edges, the next one included."""
-    aside: Color3f | None = None
+    zero_weight: Color3f | None = None
     """While derivatives are replayed, the factor of each channel that was set aside, or 1: see `scaled`. Else None."""
 
-    def arrived(self, place: Place, passed: Color3f, h: Heuristic) -> End:
+    def arrived(self, vertex: PathVertex, transmittance: Color3f, h: Heuristic) -> Subpath:
         """The subpath with the vertex that its ray has reached: densities are per unit area there.
 
-        `passed` is what media have left.
+        `transmittance` is what media have left.
         """
-        cos = h(place.cos(self.ray.d))
-        hit = place.si.is_valid()
+        cos = h(vertex.cos(self.ray.d))
+        hit = vertex.si.is_valid()
         inverse = dr.rcp(dr.select(hit, cos, 1))
-        distance = place.si.t + self.before
+        distance = vertex.si.t + self.before
         spread = dr.select(hit & (self.before < dr.inf), h(dr.square(distance)), 1)
-        return replace(self, throughput=self.throughput * passed, vcm=self.vcm * spread * inverse, vc=self.vc * inverse)
+        return replace(
+            self, throughput=self.throughput * transmittance, vcm=self.vcm * spread * inverse, vc=self.vc * inverse
+        )
 
-    def scattered(self, place: Place, s: Scattering, throughput: Color3f, h: Heuristic) -> End:
+    def scattered(self, vertex: PathVertex, s: Scattering, throughput: Color3f, h: Heuristic) -> Subpath:
         """The subpath that goes on from a vertex as `s` says, with the given throughput."""
-        d = place.direction(s)
-        cos = place.cos(d)
+        d = vertex.direction(s)
+        cos = vertex.cos(d)
         delta = has_flag(s.sample.sampled_type, BSDFFlags.Delta)
         # No strategy joins two vertices at a delta lobe, whose densities of both ways are equal.
         on = self.vc * h(s.back_of_sample) + self.vcm
-        return End(
-            ray=place.ray(d),
+        return Subpath(
+            ray=vertex.ray(d),
             throughput=throughput,
             vcm=dr.select(delta, 0, h(dr.rcp(s.sample.pdf))),
             vc=dr.select(delta, self.vc * h(cos), h(cos * dr.rcp(s.sample.pdf)) * on),
             before=Float(0),
             eta=None if self.eta is None else self.eta * s.sample.eta,
             depth=self.depth + 1,
-            aside=self.aside,
+            zero_weight=self.zero_weight,
         )
 
-    def passing(self, place: Place, passes: Bool, other: End) -> End:
+    def passing(self, vertex: PathVertex, passes: Bool, other: Subpath) -> Subpath:
         """`other`, or where the path `passes` a surface as if it weren't there, the same edge continued."""
         return replace(
             other,
             vcm=dr.select(passes, self.vcm, other.vcm),
             vc=dr.select(passes, self.vc, other.vc),
-            before=dr.select(passes, self.before + place.si.t, other.before),
+            before=dr.select(passes, self.before + vertex.si.t, other.before),
             depth=dr.select(passes, self.depth, other.depth),
         )
 
 
 def scaled(
-    throughput: Color3f, aside: Color3f | None, weight: Color3f, differs: Callable[[], Bool]
+    throughput: Color3f, zero_weight: Color3f | None, weight: Color3f, differs: Callable[[], Bool]
 ) -> tuple[Color3f, Color3f | None]:
     """A throughput times the weight of a vertex, and what is set aside of it.
 
-    As in `PathState.carrying`, replays go on where a weight is 0 or too small to divide by: the first such factor of
+    As in `PathState.weighted`, replays go on where a weight is 0 or too small to divide by: the first such factor of
     each channel is set aside where the vertex `differs`. The throughput keeps the derivative of the product.
     """
     product = throughput * weight
-    if aside is None or not dr.grad_enabled(weight):
-        return product, aside
+    if zero_weight is None or not dr.grad_enabled(weight):
+        return product, zero_weight
     factor = dr.detach(weight)
-    small = (aside == 1) & (dr.abs(factor) < SMALL) & differs()
+    small = (zero_weight == 1) & (dr.abs(factor) < SMALL) & differs()
     value = dr.detach(throughput) * dr.select(small, 1, factor)
-    return with_derivative(value, product), dr.select(small, factor, aside)
+    return with_derivative(value, product), dr.select(small, factor, zero_weight)
 
 
 def with_derivative(value: Color3f, other: Color3f) -> Color3f:
@@ -158,7 +160,7 @@ def with_derivative(value: Color3f, other: Color3f) -> Color3f:
 class Lane:
     """Loop state of either walk."""
 
-    end: End
+    subpath: Subpath
     sampler: Any
     active: Bool
     vertices: Any
@@ -179,13 +181,13 @@ class CameraLane(Lane):
 class LightHit:
     """The next vertex of a light path, before light is scattered there."""
 
-    place: Place
-    come: End
+    vertex: PathVertex
+    incoming: Subpath
     """The path before it has arrived."""
-    end: End
+    subpath: Subpath
     """The path that has arrived."""
     flux: Color3f
-    vertex: LightVertex
+    light_vertex: LightVertex
     """The fields that connections read."""
     joins: Bool
     """True where other paths can be joined to it."""
@@ -203,7 +205,7 @@ class LightStep:
     """The light that the film receives there; None from sensors that light can't be traced to."""
     weight: Float
     """The weight of `shown` against the other strategies."""
-    end: End
+    subpath: Subpath
     """The path that goes on."""
     active: Bool
     """True where it does."""
@@ -213,12 +215,12 @@ class LightStep:
 class CameraHit:
     """The next vertex of a camera path, before light is scattered there. Colours are as in `LightStep`."""
 
-    place: Place
-    come: End
+    vertex: PathVertex
+    incoming: Subpath
     """The path before it has arrived."""
-    end: End
+    subpath: Subpath
     """The path that has arrived."""
-    glow: Color3f | None
+    emitted: Color3f | None
     """The light that media have added on the way, and that other paths have left here; None if there is neither."""
     met: Color3f
     """The light that the path has met."""

@@ -11,10 +11,10 @@ from djpt.samplers.base import SampleStream
 if TYPE_CHECKING:
     from djpt.scene.scene import Scene
 
-__all__ = ["LearningIntegrator", "Lessons"]
+__all__ = ["LearningIntegrator", "TrainingPaths"]
 
 
-class Lessons(Protocol):
+class TrainingPaths(Protocol):
     """Paths that an integrator learns from, and that no image counts."""
 
     @property
@@ -42,6 +42,6 @@ class LearningIntegrator(Integrator):
     needs_light = True
     differentiable = False
 
-    def taught(self, lessons: Lessons) -> Integrator:
+    def trained(self, training_paths: TrainingPaths) -> Integrator:
         """The integrator that knows the scene, and renders the image."""
         raise NotImplementedError

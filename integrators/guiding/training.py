@@ -25,7 +25,7 @@ from djpt.samplers.base import SampleStream
 if TYPE_CHECKING:
     from djpt.scene.scene import Scene
 
-__all__ = ["GuidedVertex", "Notes", "practise"]
+__all__ = ["GuidedVertex", "TrainingResult", "train"]
 
 DIGITS = 24
 """Binary digits behind the point of the sums, whole numbers whose order doesn't matter."""
@@ -79,7 +79,7 @@ class Lane:
 
 
 @dataclass
-class Notes:
+class TrainingResult:
     """The results of training."""
 
     sums: NDArray[np.float64]
@@ -90,9 +90,9 @@ class Notes:
     """The mean of C^2 p over all choices."""
 
 
-def practise(
+def train(
     integrator: PathIntegrator, scene: Scene, sampler: SampleStream, ray: Ray3f, leaves: int, cells: int, unit: float
-) -> Notes:
+) -> TrainingResult:
     """Follow one path per lane, without an image.
 
     Args:
@@ -137,7 +137,7 @@ def practise(
     (end,) = loop_traced_once(start, lambda lane: lane.active, body, "practice")
     found, scale = dr.mean(end.radiance), dr.rcp(as_float(unit))
 
-    def note(i: UInt32, choices: Any) -> tuple[UInt32, Any]:
+    def add_choice(i: UInt32, choices: Any) -> tuple[UInt32, Any]:
         choice = choices.read(i)
         light = (found - choice.radiance) * dr.rcp(choice.throughput)
         summand = minimum(dr.square(light) * choice.density * scale, MOST)
@@ -146,9 +146,9 @@ def practise(
         return i + 1, choices
 
     last, _ = while_loop(
-        (dr.zeros(UInt32, lanes), end.choices), lambda i, choices: i < end.count, note, label="practice notes"
+        (dr.zeros(UInt32, lanes), end.choices), lambda i, choices: i < end.count, add_choice, label="practice notes"
     )
     dr.eval(last, visits, sums)
     whole = sums.numpy().astype(np.float64).reshape(leaves, SQUARES) * (unit / 2.0**DIGITS)
     seen = visits.numpy()
-    return Notes(whole, seen, float(whole.sum() / max(int(seen.sum()), 1)))
+    return TrainingResult(whole, seen, float(whole.sum() / max(int(seen.sum()), 1)))

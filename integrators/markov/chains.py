@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.films.splats import Splats
-from djpt.integrators.bidirectional.single_strategy import LastVertex, OneStrategy
+from djpt.integrators.bidirectional.single_strategy import LastVertex, SingleStrategy
 from djpt.integrators.markov.mutations import Mutated
 from djpt.jit.kernels import loop_traced_once, maximum, own_copy, own_floats, while_loop
 from djpt.jit.llvm.lanes import small_blocks
@@ -62,7 +62,7 @@ class Family:
     mean: Float
     """The mean brightness of samples of this length."""
     worth: Float
-    """The share of the light that paths of this length bring, over the share of chains that follow them."""
+    """The fraction of the light that paths of this length bring, over the fraction of chains that follow them."""
 
 
 class Bootstrap:
@@ -72,7 +72,7 @@ class Bootstrap:
     needn't run for a while before they count: the expectation is right from the first step (Veach and Guibas, 1997).
     """
 
-    def __init__(self, strategy: OneStrategy, seed: UInt32, max_depth: int, samples: int) -> None:
+    def __init__(self, strategy: SingleStrategy, seed: UInt32, max_depth: int, samples: int) -> None:
         """`samples`: their number, about."""
         self._strategy, self._seed = strategy, seed
         lengths = max_depth - SHORTEST + 1
@@ -110,7 +110,7 @@ class Bootstrap:
 
     def starts(self, count: int) -> tuple[Start, Family]:
         """The first samples of `count` chains, chosen by brightness, shortest paths first."""
-        # Systematic resampling: each sample is taken as often as its share asks for, or once more.
+        # Systematic resampling: each sample is taken as often as its fraction asks for, or once more.
         offset = np.array(IndependentStream.seeded(*sample_tea_32(self._seed, 0xFFFFFFFF)).next_1d())[0]
         wanted = (np.arange(count) + float(offset)) * (self._sums[-1] / count)
         chosen = np.minimum(np.searchsorted(self._sums, wanted, side="right"), len(self._sums) - 1)
@@ -136,7 +136,7 @@ class Chains:
     second: Bool
     """True where the second of the two is the chain's."""
     last: Any
-    """Local memory of `OneStrategy.sample`."""
+    """Local memory of `SingleStrategy.sample`."""
     s: UInt32
     place: Point2f
     light: Color3f
@@ -145,7 +145,7 @@ class Chains:
 
 
 class MarkovChains:
-    """Chains of paths of fixed lengths: of each about as many as its share of the light, and some that are dark.
+    """Chains of paths of fixed lengths: of each about as many as its fraction of the light, and some that are dark.
 
     A step proposes a path: in a *large* one all its numbers are drawn afresh, in others all are moved a little, and
     the strategy is kept. With y = `brightness` of the chain's sample and y' that of the proposal the chain goes there
@@ -159,7 +159,7 @@ class MarkovChains:
     """
 
     def __init__(
-        self, strategy: OneStrategy, bootstrap: Bootstrap, seed: UInt32, size: int, chains: int, splats: Splats
+        self, strategy: SingleStrategy, bootstrap: Bootstrap, seed: UInt32, size: int, chains: int, splats: Splats
     ) -> None:
         """`size`: the numbers of a path; `splats`: takes the light, divided by b."""
         self._strategy, self._splats, self._size, self._chains = strategy, splats, size, chains

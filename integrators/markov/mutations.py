@@ -19,7 +19,7 @@ from djpt.samplers.independent import IndependentStream
 __all__ = ["Mutated", "step"]
 
 FINEST = 1 / 64
-"""The smallest step, as a share of the largest."""
+"""The smallest step, as a fraction of the largest."""
 
 BELOW_ONE = 1 - 2.0**-24
 """The largest float below 1."""

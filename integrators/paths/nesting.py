@@ -44,7 +44,7 @@ class NestingIntegrator(Integrator):
             callback.put(f"integrator_{i}", integrator)
 
     def check_scene(self, scene: Scene, sensor: Sensor) -> None:
-        # It has no blind spots of its own, only those of the nested integrators.
+        # It leaves out nothing itself, only the nested integrators do.
         for _, integrator in self.nested:
             integrator.check_scene(scene, sensor)
 

@@ -35,7 +35,7 @@ class LightPath:
     """Product of relative indices of refraction; None in scenes without refraction."""
     depth: UInt32
     """The number of edges so far."""
-    aside: Color3f | None = None
+    zero_weight: Color3f | None = None
     """While derivatives are replayed, the factor of each channel of the flux that was set aside, or 1; else None."""
 
 

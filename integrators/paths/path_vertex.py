@@ -29,11 +29,11 @@ from djpt.samplers.base import SampleStream
 if TYPE_CHECKING:
     from djpt.scene.scene import Scene
 
-__all__ = ["Matter", "Place", "Reached", "Scattering", "is_half_open", "reach"]
+__all__ = ["MediumVertex", "NextVertex", "PathVertex", "Scattering", "is_half_open", "next_vertex"]
 
 
 @dataclass
-class Matter:
+class MediumVertex:
     """The medium that scatters light at a vertex, on the lanes whose vertex is in one."""
 
     inside: Bool
@@ -66,12 +66,12 @@ Evaluated = tuple[Color3f, Float, Float]
 
 
 @dataclass
-class Place:
+class PathVertex:
     """A point where light is scattered."""
 
     si: SurfaceInteraction3f
     """The point; in media the fields of a surface mean nothing, but for the normal, which is 0."""
-    matter: Matter | None
+    medium_vertex: MediumVertex | None
     """None in scenes whose media don't scatter light."""
 
     @property
@@ -82,12 +82,12 @@ class Place:
     def is_smooth(self) -> Bool:
         """True where other paths can be joined there."""
         smooth = has_flag(self.si.bsdf().flags(), BSDFFlags.Smooth)
-        return smooth if self.matter is None else smooth | self.matter.inside
+        return smooth if self.medium_vertex is None else smooth | self.medium_vertex.inside
 
     def cos(self, d: Vector3f) -> Float:
         """The cosine of a direction with the normal, without its sign; 1 in media."""
         cos = dr.abs(dr.dot(self.si.n, d))
-        return cos if self.matter is None else dr.select(self.matter.inside, 1, cos)
+        return cos if self.medium_vertex is None else dr.select(self.medium_vertex.inside, 1, cos)
 
     def ray(self, d: Vector3f) -> Ray3f:
         """The ray that leaves in a world direction."""
@@ -99,14 +99,14 @@ class Place:
 
     def in_medium(self, ray: Ray3f) -> Ray3f:
         """A ray that leaves the vertex, in its medium."""
-        if self.matter is not None and ray.medium is not None:
-            ray.medium = dr.select(self.matter.inside, self.matter.medium, ray.medium)
+        if self.medium_vertex is not None and ray.medium is not None:
+            ray.medium = dr.select(self.medium_vertex.inside, self.medium_vertex.medium, ray.medium)
         return ray
 
     def direction(self, s: Scattering) -> Vector3f:
         """The sampled direction in world space."""
         d = self.si.to_world(s.sample.wo)
-        return d if self.matter is None or s.d is None else dr.select(self.matter.inside, s.d, d)
+        return d if self.medium_vertex is None or s.d is None else dr.select(self.medium_vertex.inside, s.d, d)
 
     def passes(self, s: Scattering) -> Bool:
         """True where the sampled direction goes straight through a surface."""
@@ -114,7 +114,7 @@ class Place:
 
     def _on_surface(self) -> Bool:
         valid = self.si.is_valid()
-        return valid if self.matter is None else valid & ~self.matter.inside
+        return valid if self.medium_vertex is None else valid & ~self.medium_vertex.inside
 
     # ---- scattering --------------------------------------------------------------------
 
@@ -122,9 +122,9 @@ class Place:
         """The value f abs(cos) of a path from the camera, or its adjoint, and the densities of both ways."""
         wo = self.si.to_local(d)
         found: Evaluated = self.si.bsdf().visit(lambda bsdf: evaluated(bsdf, self.si, from_camera, wo, True))
-        if self.matter is None:
+        if self.medium_vertex is None:
             return found
-        both: Evaluated = dr.select(self.matter.inside, self._of_phase(scene, d), found)
+        both: Evaluated = dr.select(self.medium_vertex.inside, self._of_phase(scene, d), found)
         return both
 
     def scatter(
@@ -136,7 +136,7 @@ class Place:
         """
         wo = self.si.wi if d is None else self.si.to_local(d)
         sample1, sample2 = sampler.next_1d(), sampler.next_2d()
-        on_surface = active if self.matter is None else active & ~self.matter.inside
+        on_surface = active if self.medium_vertex is None else active & ~self.medium_vertex.inside
 
         def method(bsdf: BSDF) -> tuple[Any, ...]:
             if from_camera:
@@ -149,17 +149,17 @@ class Place:
             return (*towards, bs, at_fixed_direction(bs, weight, there), back)
 
         s = Scattering(*self.si.bsdf().visit(method, on_surface))
-        if self.matter is None:
+        if self.medium_vertex is None:
             return s
-        return self._scattered_by_matter(scene, s, self.matter.wi if d is None else d, sample1, sample2)
+        return self._scattered_in_medium(scene, s, self.medium_vertex.wi if d is None else d, sample1, sample2)
 
-    def _scattered_by_matter(
+    def _scattered_in_medium(
         self, scene: Scene, s: Scattering, d: Vector3f, sample1: Float, sample2: Point2f
     ) -> Scattering:
         """Scattering at a vertex: as `s` says on surfaces, by the phase function in media."""
-        assert self.matter is not None
-        inside, mei = self.matter.inside, self._point(self.matter.wi)
-        phase = scene.media.phases(self.matter.medium)
+        assert self.medium_vertex is not None
+        inside, mei = self.medium_vertex.inside, self._point(self.medium_vertex.wi)
+        phase = scene.media.phases(self.medium_vertex.medium)
         wo, weight, pdf = phase.sample(PhaseFunctionContext(None), mei, sample1, sample2, inside)
         sample = BSDFSample3f.of(s.sample.wo, pdf, BSDFFlags.GlossyReflection)
         here = (*self._of_phase(scene, d), sample, weight, self._of_phase(scene, wo)[2])
@@ -168,10 +168,14 @@ class Place:
 
     def _of_phase(self, scene: Scene, d: Vector3f) -> Evaluated:
         """The phase function towards a world direction, and the densities of both ways: it is the same for light."""
-        assert self.matter is not None
-        phase = scene.media.phases(self.matter.medium)
-        value, pdf = phase.eval_pdf(PhaseFunctionContext(None), self._point(self.matter.wi), d, self.matter.inside)
-        _, back = phase.eval_pdf(PhaseFunctionContext(None), self._point(d), self.matter.wi, self.matter.inside)
+        assert self.medium_vertex is not None
+        phase = scene.media.phases(self.medium_vertex.medium)
+        value, pdf = phase.eval_pdf(
+            PhaseFunctionContext(None), self._point(self.medium_vertex.wi), d, self.medium_vertex.inside
+        )
+        _, back = phase.eval_pdf(
+            PhaseFunctionContext(None), self._point(d), self.medium_vertex.wi, self.medium_vertex.inside
+        )
         return value, pdf, back
 
     def _point(self, wi: Vector3f) -> MediumInteraction3f:
@@ -190,29 +194,35 @@ def evaluated(bsdf: BSDF, si: SurfaceInteraction3f, from_camera: bool, wo: Vecto
 
 
 @dataclass
-class Reached:
+class NextVertex:
     """The vertex that a ray has reached."""
 
-    place: Place
-    passed: Color3f
+    vertex: PathVertex
+    transmittance: Color3f
     """Transmittance of media, over the density of having come that far."""
-    glow: Color3f | None
+    emitted: Color3f | None
     """The light that media have added on the way; None if none of them glows."""
 
 
-def reach(scene: Scene, ray: Ray3f, si: SurfaceInteraction3f, throughput: Color3f, sampler: SampleStream) -> Reached:
+def next_vertex(
+    scene: Scene, ray: Ray3f, si: SurfaceInteraction3f, throughput: Color3f, sampler: SampleStream
+) -> NextVertex:
     """The next vertex of a path on its way to the surface `si`: there, or before it in a medium.
 
     `throughput` is that of the path, by which media choose a channel.
     """
     if not scene.media.scatter:
-        return Reached(Place(si, None), scene.media.transmittance(ray, si.t), None)
+        return NextVertex(PathVertex(si, None), scene.media.transmittance(ray, si.t), None)
     length = dr.select(si.is_valid(), si.t, ray.maxt)
     flight = scene.media.fly(ray, length, None, throughput, sampler)
     assert ray.medium is not None
-    matter = Matter(flight.scattered, ray.medium, -ray.d)
-    passed = flight.value * dr.rcp(of_channel(flight.pdf, None))
-    return Reached(Place(vertex_of(ray, si, flight), matter), passed, flight.emitted if scene.media.emit else None)
+    medium_vertex = MediumVertex(flight.scattered, ray.medium, -ray.d)
+    transmittance = flight.value * dr.rcp(of_channel(flight.pdf, None))
+    return NextVertex(
+        PathVertex(vertex_of(ray, si, flight), medium_vertex),
+        transmittance,
+        flight.emitted if scene.media.emit else None,
+    )
 
 
 def is_half_open(scene: Scene) -> bool:

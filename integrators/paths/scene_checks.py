@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from djpt.integrators.base import Integrator
     from djpt.scene.scene import Scene
 
-__all__ = ["refuse_scattering_media", "warn_of_blind_spots"]
+__all__ = ["refuse_scattering_media", "warn_of_unrendered"]
 
 
 def scattering_media(scene: Scene) -> list[str]:
@@ -31,7 +31,7 @@ def refuse_scattering_media(name: str, scene: Scene) -> None:
         )
 
 
-def warn_of_blind_spots(integrator: Integrator, scene: Scene) -> None:
+def warn_of_unrendered(integrator: Integrator, scene: Scene) -> None:
     """Warn of the materials and lights of a scene that stay black, and of its media that don't show.
 
     No number of samples changes that.

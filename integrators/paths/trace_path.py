@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from djpt.integrators.base import PathIntegrator, PathState
     from djpt.scene.scene import Scene
 
-__all__ = ["walk"]
+__all__ = ["trace_path"]
 
 
 @dataclass
@@ -36,7 +36,7 @@ class PathLoop:
     active: Bool
 
 
-def walk(
+def trace_path(
     integrator: PathIntegrator,
     scene: Scene,
     sampler: SampleStream,

@@ -9,7 +9,7 @@ import drjit as dr
 
 from djpt.core.records import SHADOW_EPSILON, BSDFFlags, PreliminaryIntersection3f, Ray3f, has_flag
 from djpt.core.records.media import MediumInteraction3f
-from djpt.geometry.aggregate import PassableSurfaces
+from djpt.geometry.aggregate import NullSurfaces
 from djpt.jit.kernels import wide
 from djpt.jit.types import Bool, Color3f, Float, Point3f, UInt32, Vector3f
 from djpt.media.differentials import own_stream
@@ -20,7 +20,7 @@ from djpt.samplers.independent import IndependentStream
 if TYPE_CHECKING:
     from djpt.scene.scene import Scene
 
-__all__ = ["Aim", "null_transmittance", "passable_surfaces", "transmittance"]
+__all__ = ["Aim", "null_surfaces", "null_transmittance", "transmittance"]
 
 
 @dataclass
@@ -117,7 +117,7 @@ class ShadowWalk:
 
     def __init__(self, scene: Scene, ray: Ray3f) -> None:
         self._scene, self._ray = scene, ray
-        self._surfaces = passable_surfaces(scene)
+        self._surfaces = null_surfaces(scene)
 
     def end(self, sampler: SampleStream, lit: Bool, measured: bool) -> Shadow:
         """The end of the ray, whose `left` is its transmittance; if `measured`, with what derivatives need.
@@ -238,10 +238,10 @@ def reattached(scene: Scene, sampler: SampleStream, ray: Ray3f, left: Color3f, p
     return dr.replace_grad(left, attached)  # type: ignore[func-returns-value, return-value]
 
 
-def passable_surfaces(scene: Scene) -> PassableSurfaces:
+def null_surfaces(scene: Scene) -> NullSurfaces:
     """Queries of a scene that tell its null surfaces from all others."""
     null = [has_flag(bsdf.flags(), BSDFFlags.Null) for bsdf in scene.bsdfs.plugins]
-    return PassableSurfaces(scene.geometry, [null[number] for number in scene.bsdfs.of_shape])
+    return NullSurfaces(scene.geometry, [null[number] for number in scene.bsdfs.of_shape])
 
 
 @dataclass
@@ -286,5 +286,5 @@ def toward(o: Point3f, to_light: Vector3f, finite: Bool, d: Vector3f, medium: UI
 
 
 def left_over(scene: Scene, sampler: SampleStream, ray: Ray3f, active: Bool) -> Color3f:
-    """The share of light that a medium leaves on a ray, up to its end."""
+    """The fraction of light that a medium leaves on a ray, up to its end."""
     return scene.media.transmittance(ray, ray.maxt, sampler, active)

@@ -11,7 +11,7 @@ import drjit as dr
 from djpt.core.records import BSDFFlags, BSDFSample3f, Ray3f, SurfaceInteraction3f, has_flag
 from djpt.description.properties import Properties
 from djpt.integrators.base import PathIntegrator, PathState
-from djpt.integrators.paths.trace_path import walk
+from djpt.integrators.paths.trace_path import trace_path
 from djpt.integrators.termination import Terminating
 from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point3f, UInt32
 from djpt.samplers.base import SampleStream
@@ -58,7 +58,7 @@ class UnidirectionalPath(Terminating, PathIntegrator):
     ) -> tuple[Color3f, Bool, list[Float]]:
         if not self.bounces:
             return super().sample(scene, sampler, ray, medium, active)
-        parts, valid = walk(self, scene, sampler, ray, active, bounces=self.max_depth)
+        parts, valid = trace_path(self, scene, sampler, ray, active, bounces=self.max_depth)
         color = parts[0]
         for part in parts[1:]:
             color = color + part
@@ -75,7 +75,7 @@ class UnidirectionalPath(Terminating, PathIntegrator):
             bsdf_pdf=Float(0),
             eta=Float(1) if scene.bsdfs.refract else None,
             depth=UInt32(0),
-            n=Normal3f(0) if scene.lights.choice.looks_at_normal else None,
+            n=Normal3f(0) if scene.lights.choice.uses_normal else None,
             covered=Bool(False) if scene.bsdfs.have_null else None,
         )
 

@@ -1,7 +1,7 @@
 """The fraction of the disk about a point that is surface: the divisor of sums of photons near edges and corners.
 
 A sum over the photons of a disk is divided by its area. Where a surface ends within the disk, at an edge or at the foot
-of a wall, photons can only lie on the share c of it, and the sum is too small by as much: all edges are dark by a
+of a wall, photons can only lie on the fraction c of it, and the sum is too small by as much: all edges are dark by a
 radius. So points of the disk are looked at until one is on the surface. Their number K is 1 nearly everywhere, and has
 the mean 1 / c everywhere: sums times K have no such error, since K doesn't depend on the photons.
 
@@ -49,7 +49,7 @@ class Search:
 def inverse_coverage(
     scene: Scene, photons: PhotonMap, si: SurfaceInteraction3f, sampler: SampleStream, active: Bool
 ) -> Float:
-    """An estimate of 1 / c, c being the share of the disk about a point where photons count; 1 where not `active`.
+    """An estimate of 1 / c, c being the fraction of the disk about a point where photons count; 1 where not `active`.
 
     A point of the disk counts if it is seen from the centre along the surface, and the surface there lies near the
     tangent plane and faces the same way. If none is found, because what is there is smaller than the disk, the

@@ -41,7 +41,7 @@ class GridDistr(BaseGuidingDistr):
 
     Args:
         resolution: the cells along x, y, z.
-        clamp_mass_thres: cells with less than this share of all mass are never sampled.
+        clamp_mass_thres: cells with less than this fraction of all mass are never sampled.
         scale_mass: masses are raised to the power 1 - scale_mass.
         debug_logs: accepted; nothing is logged.
     """
@@ -102,7 +102,7 @@ class OcSpaceDistr(BaseGuidingDistr):
         extra_spc: random points per leaf.
         eval_indirect_integrand_handle: (points, sampler) -> (value, ..): the function that the density imitates.
         clamp_input_mass_thres: accepted; samples count if their mass exceeds the attribute `mass_contruction_thres`.
-        clamp_mass_thres: leaves with less than this share of all mass are never sampled.
+        clamp_mass_thres: leaves with less than this fraction of all mass are never sampled.
         prepartition_x_slices: the slabs along x that the cube is first cut into.
         scatter_inc: accepted, changes nothing.
         scale_mass: masses are raised to the power 1 - scale_mass.

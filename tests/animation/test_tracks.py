@@ -7,7 +7,7 @@ import pytest
 
 import djpt
 from djpt.apps.animation.tracks import Track, TurningCamera
-from djpt.apps.orbit import HeldCamera
+from djpt.apps.orbit import OrbitCamera
 from djpt.errors import ParameterError
 
 T = djpt.ScalarTransform4f
@@ -70,7 +70,7 @@ def test_wrong_texts(text: str) -> None:
 
 
 def test_a_camera_that_turns_comes_back() -> None:
-    camera = HeldCamera.facing(np.array(T().look_at([3, 1, 0], [0, 1, 0], [0, 1, 0]).matrix), 3)
+    camera = OrbitCamera.facing(np.array(T().look_at([3, 1, 0], [0, 1, 0], [0, 1, 0]).matrix), 3)
     track = TurningCamera(camera, 15)
     assert np.allclose(track.at(24).matrix, camera.to_world, atol=1e-5)
     quarter = np.array(track.at(6).matrix)

@@ -56,7 +56,7 @@ class TestDensity:
         axis = Frame3f.from_normal(dr.normalize(dr.detach(dr.mean(ray.d, axis=1))))
 
         def shown(p: Any) -> Any:
-            return sensor.look_from(p, Point2f(*lens))[1] > 0
+            return sensor.sample_wi(p, Point2f(*lens))[1] > 0
 
         if parallel:
             local = axis.to_local(ray.o)
@@ -91,7 +91,7 @@ class TestDensity:
         sensor = sensor_of(name, film)
         ray = rays_of(sensor, lens, 4096)
         t = Float(uniform(4096, 1, seed=1)[0] * (0.9 * ray.maxt) + 1e-3)
-        _, importance = sensor.look_from(ray(t), Point2f(*lens))
+        _, importance = sensor.sample_wi(ray(t), Point2f(*lens))
         pdf, distance = sensor.pdf_ray(ray.d)
         expected = dr.select(dr.isfinite(distance), pdf * dr.rcp(dr.square(t + distance)), pdf)
         expected, found = (np.broadcast_to(np.array(x, np.float64), (4096,)) for x in (expected, importance))
@@ -126,4 +126,4 @@ def test_others_say_that_light_cannot_reach_them(name: str) -> None:
     with pytest.raises(RenderError, match=message):
         sensor.pdf_ray(djpt.Vector3f(0, 0, 1))
     with pytest.raises(RenderError, match=message):
-        sensor.look_from(Point3f(0), Point2f(0.5))
+        sensor.sample_wi(Point3f(0), Point2f(0.5))

@@ -46,13 +46,13 @@ MODULES = {
     "warp",
     "xml",
 }
-HOME = {name: module for name, module in type_checking_imports().items() if name not in MODULES} | djpt._HOME
+MODULE_OF = {name: module for name, module in type_checking_imports().items() if name not in MODULES} | djpt._MODULE_OF
 """The module of each public name, modules left out."""
 
 
 def test_names_for_scripts_are_no_others() -> None:
-    assert not set(type_checking_imports()) & (set(djpt._HOME) | set(djpt._SUBMODULES))
-    assert {*type_checking_imports(), *djpt._HOME, *djpt._SUBMODULES, "__version__"} == set(djpt.__all__)
+    assert not set(type_checking_imports()) & (set(djpt._MODULE_OF) | set(djpt._SUBMODULES))
+    assert {*type_checking_imports(), *djpt._MODULE_OF, *djpt._SUBMODULES, "__version__"} == set(djpt.__all__)
 
 
 @pytest.mark.parametrize("name", djpt.__all__)
@@ -60,9 +60,9 @@ def test_every_public_name_resolves(name: str) -> None:
     assert getattr(djpt, name) is getattr(djpt, name)
 
 
-@pytest.mark.parametrize("name", HOME)
+@pytest.mark.parametrize("name", MODULE_OF)
 def test_every_public_name_is_public_where_it_lives(name: str) -> None:
-    assert name in importlib.import_module(HOME[name]).__all__
+    assert name in importlib.import_module(MODULE_OF[name]).__all__
 
 
 def test_the_names_of_the_design_exist() -> None:
@@ -74,7 +74,7 @@ def test_no_submodule_has_the_name_of_a_public_object() -> None:
     """Importing such a submodule would replace the object in the package."""
     folder = Path(djpt.__file__).parent
     submodules = {p.stem for p in folder.iterdir() if p.suffix == ".py" or p.is_dir()}
-    assert not submodules & set(HOME)
+    assert not submodules & set(MODULE_OF)
 
 
 def test_an_unknown_name() -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 import djpt
 from djpt.core.transforms import ScalarTransform4f as T
-from djpt.scene.normalization.normalized_scene import twin
+from djpt.scene.normalization.normalized_scene import normalized_scene
 from tests.kit.placed_scenes import PLACED, Place, closed_room, huge_sphere, path
 
 DIRECTION = np.array([0.6, -0.64, 0.48])
@@ -67,7 +67,7 @@ def test_a_huge_sphere_does_not_shadow_itself(place: Place) -> None:
 
 def test_usual_scenes_are_rendered_as_they_are() -> None:
     for build in (djpt.cornell_box, PLACED["balls"], PLACED["instances"]):
-        assert twin(djpt.load_dict(build())) is None
+        assert normalized_scene(djpt.load_dict(build())) is None
 
 
 @pytest.mark.sparse(2)
@@ -145,7 +145,7 @@ def test_gradients_pass_through_the_frame(key: str, unit: int) -> None:
         params = djpt.traverse(scene)
         dr.enable_grad(params[key])
         params.update()
-        for _ in range(2):  # the second time with the same twin
+        for _ in range(2):  # the second time with the same normalized scene
             dr.clear_grad(params[key])
             dr.backward(dr.mean(djpt.render(scene, params, seed=1), axis=None))
         gradients.append(float(dr.ravel(dr.grad(params[key]))[0]) * scale**unit)
@@ -173,7 +173,7 @@ def test_gradients_by_smoke_pass_through_the_frame(key: str, unit: int) -> None:
         name = f"smoke.interior_medium.{key}"
         dr.enable_grad(params[name])
         params.update()
-        assert (twin(scene) is None) == (scale == 1)
+        assert (normalized_scene(scene) is None) == (scale == 1)
         dr.backward(dr.mean(djpt.render(scene, params, spp=64, seed=1), axis=None))
         gradients.append(np.array(dr.grad(params[name])).sum() * scale**unit)
     assert gradients[0] != 0
@@ -199,7 +199,7 @@ def test_aovs_stay_in_the_users_units(unfiltered: bool) -> None:
     for place in (Place(), Place(2.0**-20), Place(1.0, 1e4 * DIRECTION)):
         scene = djpt.load_dict(PLACED["balls"](place, integrator=integrator))
         images[place.scale, place.offset[0] > 0] = np.array(djpt.render(scene, seed=1))
-    assert twin(scene) is not None
+    assert normalized_scene(scene) is not None
     channels = [name.partition(".")[0] for name in djpt.channel_names(scene)]
     units = np.array([2.0**-20 if name in ("depth", "distance", "position", "dp_du") else 1 for name in channels])
     at_unit, small, far = images.values()
@@ -221,7 +221,7 @@ def test_a_scripts_plugin_keeps_a_scene_in_its_place() -> None:
     djpt.register_bsdf("test_scale_lamp", lambda props: Lamp(props))
     own: dict[str, Any] = {"type": "sphere", "bsdf": {"type": "test_scale_lamp"}}
     own["to_world"] = T().scale(1e-6)
-    assert twin(djpt.load_dict(PLACED["balls"](Place(1e-6)) | {"ball": own})) is None
+    assert normalized_scene(djpt.load_dict(PLACED["balls"](Place(1e-6)) | {"ball": own})) is None
 
 
 @pytest.mark.parametrize("name", ["glow", "lengths"])
@@ -230,7 +230,7 @@ def test_what_is_per_length_is_converted(name: str, scale: float) -> None:
     """Emission and absorption, and the heights of bump maps."""
     scenes = [PLACED[name](place) for place in (Place(), Place(scale))]
     at_unit, scaled = (image(scene, spp=64).mean(axis=(0, 1)) for scene in scenes)
-    assert [twin(djpt.load_dict(scene)) is not None for scene in scenes] == [False, True]
+    assert [normalized_scene(djpt.load_dict(scene)) is not None for scene in scenes] == [False, True]
     assert at_unit.min() > 0.01
     np.testing.assert_allclose(scaled, at_unit, rtol=2e-3)
 

@@ -15,10 +15,10 @@ from djpt.core.records import Ray3f
 from djpt.core.records.media import MediumInteraction3f
 from djpt.core.transforms import ScalarTransform4f as T
 from djpt.description import registry
-from djpt.description.frame_change import Rooted
+from djpt.description.frame_change import NotMovable
 from djpt.jit.types import Float, Point2f, Point3f, TensorXf, Vector3f
 from djpt.scene.normalization.frame import WorkingFrame
-from djpt.scene.normalization.plugin_copies import Carrier
+from djpt.scene.normalization.plugin_copies import PluginCopies
 from djpt.shapes.axes import AxisPool
 from tests.kit.emitters import SETS, entry
 from tests.kit.meshes import tetrahedron_file, write_serialized
@@ -29,8 +29,8 @@ PLACED = SHEARED @ T().translate([1, 2, 3])
 RIGID = T().translate([1, 2, 3]).rotate([0.6, -0.48, 0.64], 40)
 
 
-def carrier() -> Carrier:
-    return Carrier(WorkingFrame(SCALE, CENTER))
+def copies() -> PluginCopies:
+    return PluginCopies(WorkingFrame(SCALE, CENTER))
 
 
 def in_frame(p: Any) -> Any:
@@ -54,7 +54,7 @@ def test_every_class_says_how_it_moves(kind: str) -> None:
 
 
 def both(plugin: Any) -> tuple[Any, Any]:
-    return plugin, carrier().carried(plugin)
+    return plugin, copies().copy_of(plugin)
 
 
 # ---- shapes ------------------------------------------------------------------------------------
@@ -225,8 +225,8 @@ def test_materials_without_lengths_are_shared() -> None:
         assert after is before
     for description in (bumpy, glass, {"type": "mask", "b": bumpy}, {"type": "blendbsdf", "a": glass, "b": glass}):
         plugin = djpt.load_dict(description)
-        assert carrier().carried(plugin) is not plugin
-        assert Carrier(WorkingFrame(1.0, CENTER)).carried(plugin) is plugin
+        assert copies().copy_of(plugin) is not plugin
+        assert PluginCopies(WorkingFrame(1.0, CENTER)).copy_of(plugin) is plugin
 
 
 # ---- plugins that say nothing ------------------------------------------------------------------
@@ -246,7 +246,7 @@ class MovingLamp(Lamp):
 def test_classes_decide_for_themselves() -> None:
     for name, kind in (("test_frame_lamp", Lamp), ("test_frame_moving_lamp", MovingLamp)):
         djpt.register_emitter(name, kind)
-    with pytest.raises(Rooted, match=r"test_frame_lamp: 'Lamp' has no move_into of its own and isn't in_any_frame"):
-        carrier().carried(djpt.load_dict({"type": "test_frame_lamp"}))
-    moved = carrier().carried(djpt.load_dict({"type": "test_frame_moving_lamp"}))
+    with pytest.raises(NotMovable, match=r"test_frame_lamp: 'Lamp' has no move_into of its own and isn't in_any_frame"):
+        copies().copy_of(djpt.load_dict({"type": "test_frame_lamp"}))
+    moved = copies().copy_of(djpt.load_dict({"type": "test_frame_moving_lamp"}))
     np.testing.assert_array_equal(moved.at, in_frame([1, 1, 1]))

@@ -16,7 +16,7 @@ from djpt.integrators.guiding.cells import HALVINGS, SIDES, Cells, Leaves
 from djpt.integrators.guiding.guide import SQUARES, Guide
 from djpt.jit.types import Normal3f, Point2f, Point3f, UInt32, Vector3f
 from djpt.rendering.image import make_job
-from djpt.rendering.schedules.learning import JobLessons
+from djpt.rendering.schedules.learning import JobTrainingPaths
 from djpt.rendering.settings import RenderSettings
 from djpt.samplers import SampleIndex
 from tests.kit.chi_squared import SPHERE, p_value, uniform
@@ -107,13 +107,13 @@ def test_the_mixture_of_guide_and_material() -> None:
     plugin = djpt.load_dict({"type": "guided", "max_depth": 5, "practice": 16.0})
     loaded = djpt.load_dict(floor_scene(size=16))
     job = make_job(loaded, RenderSettings.of(loaded, integrator=plugin, seed=1, spp=256))
-    pupil, scene = plugin.taught(JobLessons(job)), job.scene
+    guided, scene = plugin.trained(JobTrainingPaths(job)), job.scene
     ray = Ray3f(Point3f(1, 2.5, 5.5), dr.normalize(Vector3f(-1.9, -2.9, -5.5)))
     si = scene.surface_interaction(ray, scene.closest_hit(ray))
     number = dr.arange(UInt32, 400000)
     stream = job.sampler.stream(UInt32(7), SampleIndex(UInt32(0), number, UInt32(1), UInt32(1)))
-    v = pupil.vertex(scene, stream, pupil.start(scene), ray, si)
-    guide, context = pupil.guide.at(si.p, si.n), BSDFContext()
+    v = guided.vertex(scene, stream, guided.start(scene), ray, si)
+    guide, context = guided.guide.at(si.p, si.n), BSDFContext()
     share = guide.share
     assert 0.2 < share[0] < 0.5
 

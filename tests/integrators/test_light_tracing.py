@@ -32,7 +32,7 @@ class TestSensorImportance:
     def test_way_to_the_sensor_is_its_ray_backwards(self, sensor: dict[str, Any]) -> None:
         camera, position, lens, t = points(sensor)
         ray = camera.ray_through(position, lens)
-        ds, importance = camera.look_from(ray(t), lens)
+        ds, importance = camera.sample_wi(ray(t), lens)
         np.testing.assert_allclose(np.array(ds.uv), np.array(position), atol=2e-5)
         assert np.array(dr.norm(ds.d + ray.d)).max() < 1e-5
         np.testing.assert_allclose(np.array(ds.p), np.array(ray.o), atol=1e-5)
@@ -43,9 +43,9 @@ class TestSensorImportance:
         """Of a small square across the direction, by finite differences."""
         camera, position, lens, t = points(sensor)
         p = camera.ray_through(position, lens)(t + 0.5)
-        ds, importance = camera.look_from(p, lens)
+        ds, importance = camera.sample_wi(p, lens)
         across, step = Frame3f.from_normal(ds.d), 1e-2
-        a, b = (camera.look_from(p + step * v, lens)[0].uv - ds.uv for v in (across.s, across.t))
+        a, b = (camera.sample_wi(p + step * v, lens)[0].uv - ds.uv for v in (across.s, across.t))
         area = np.array(dr.abs(a.x * b.y - a.y * b.x)) / step**2
         assert np.median(area / np.array(importance)) == pytest.approx(1, rel=1e-2)
 
@@ -53,7 +53,7 @@ class TestSensorImportance:
         camera, position, lens, _ = points(sensor)
         outside = Point2f(position.x + 1.01, position.y)
         for ray, t in ((camera.ray_through(position, lens), -1.0), (camera.ray_through(outside, lens), 2.0)):
-            assert np.array(camera.look_from(ray(Float(t)), lens)[1]).max() == 0
+            assert np.array(camera.sample_wi(ray(Float(t)), lens)[1]).max() == 0
 
 
 def points(sensor: dict[str, Any]) -> tuple[Any, Point2f, Point2f, Float]:

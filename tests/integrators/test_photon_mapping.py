@@ -212,20 +212,20 @@ def test_largest_radius_follows_from_the_width_of_what_is_seen(monkeypatch: pyte
         scene["sensor"] = {**scene["sensor"], **sensor}
         return first_radius_in(scene, "sppm", monkeypatch, photon_count=1)
 
-    def look_from(distance: float) -> Any:
+    def sample_wi(distance: float) -> Any:
         return T().look_at(origin=[0, 0, distance], target=[0, 0, 0], up=[0, 1, 0])
 
     near = radius({})
     assert near == pytest.approx(6 * math.tan(math.radians(15)) / 72, rel=0.1)
     lens = 2 * math.degrees(math.atan(math.tan(math.radians(15)) / 10))
-    assert radius({"fov": lens, "to_world": look_from(30.0)}) == pytest.approx(near, rel=0.1)
+    assert radius({"fov": lens, "to_world": sample_wi(30.0)}) == pytest.approx(near, rel=0.1)
     parallel = mirrored_lamp()["sensor"]
     del parallel["fov"]
     parallel["type"] = "orthographic"
     assert radius({}) == near
     first, second = (
         first_radius_in(
-            {**mirrored_lamp(), "sensor": {**parallel, "to_world": look_from(distance).scale([0.5, 0.5, 1])}},
+            {**mirrored_lamp(), "sensor": {**parallel, "to_world": sample_wi(distance).scale([0.5, 0.5, 1])}},
             "sppm",
             monkeypatch,
             photon_count=1,

@@ -12,8 +12,8 @@ from scipy.stats import chi2, kstest
 
 import djpt
 from djpt.emitters.bounds import LightBounds
-from djpt.emitters.light_samplers import CHOICES, make_choice
-from djpt.emitters.light_samplers.tree import TreeChoice
+from djpt.emitters.light_samplers import LIGHT_SAMPLERS, make_light_sampler
+from djpt.emitters.light_samplers.tree import TreeLightSampler
 
 
 @dataclass
@@ -64,11 +64,11 @@ def chances(choice: Any, p: Any, n: Any) -> np.ndarray:
 
 
 @pytest.mark.sparse(5)
-@pytest.mark.parametrize("name", CHOICES)
+@pytest.mark.parametrize("name", LIGHT_SAMPLERS)
 @pytest.mark.parametrize(("count", "infinite"), [(1, 0), (2, 0), (1, 1), (0, 2), (9, 0), (40, 0), (40, 3), (300, 1)])
 def test_choices_follow_their_probabilities(name: str, count: int, infinite: int) -> None:
     rng = np.random.default_rng(count + infinite)
-    choice = make_choice(name, lights(count, count, infinite))
+    choice = make_light_sampler(name, lights(count, count, infinite))
     samples = 40_000
     u = djpt.Float((np.arange(samples, dtype=np.float32) + 0.5) / samples)
     for with_normal in (True, True, False):
@@ -88,7 +88,7 @@ def test_choices_follow_their_probabilities(name: str, count: int, infinite: int
 
 
 def test_independent_numbers_are_chosen_and_left_uniform() -> None:
-    choice = TreeChoice(lights(60, 3, 1))
+    choice = TreeLightSampler(lights(60, 3, 1))
     rng = np.random.default_rng(1)
     for _ in range(3):
         p, n = point(rng)
@@ -113,7 +113,7 @@ def test_numbers_stay_fine_among_many_lights() -> None:
     many = [
         Light(LightBounds(low, low, np.array([0.0, 0, 1]), np.pi, np.pi / 2, 1.0)) for low in rng.random((20_000, 3))
     ]
-    choice = TreeChoice(many)
+    choice = TreeLightSampler(many)
     u = djpt.Float((rng.integers(0, 2**23, 100_000) / 2**23).astype(np.float32))
     _, inverse, fresh = choice.choose(djpt.Point3f(0.5, 0.5, 30), None, u)
     assert np.median(np.array(inverse)) > 5000
@@ -125,7 +125,7 @@ def test_what_could_shine_can_be_chosen() -> None:
     """Points of each light's box, with normals from its cone, send light within theta_e of these."""
     rng = np.random.default_rng(8)
     some = lights(70, 5)
-    choice = TreeChoice(some)
+    choice = TreeLightSampler(some)
     size, tested = 4000, 0
     for i, light in enumerate(some):
         b = light.bound
@@ -153,7 +153,7 @@ def cone(rng: np.random.Generator, axis: np.ndarray, angle: float) -> np.ndarray
 def test_no_light_is_an_error() -> None:
     for name in ("power", "tree"):
         with pytest.raises(djpt.SceneError, match="all sampling weights times powers are 0"):
-            make_choice(name, [Light(None, 0.0), Light(lights(1, 0)[0].bound, 0.0)])  # type: ignore[list-item]
+            make_light_sampler(name, [Light(None, 0.0), Light(lights(1, 0)[0].bound, 0.0)])  # type: ignore[list-item]
 
 
 def test_misspelt_choice() -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.emitters.light_samplers import CHOICES
+from djpt.emitters.light_samplers import LIGHT_SAMPLERS
 from djpt.samplers.seeds import gradient_seed
 from djpt.scene.lights import Lights
 from djpt.validation import agreement
@@ -77,12 +77,12 @@ def test_means_do_not_depend_on_the_choice(integrator: str) -> None:
     lights = everything() if integrator == "path" else lamps()
     scene = djpt.load_dict(floor_scene(lights, size=24))
     batches = {}
-    for name in CHOICES:
+    for name in LIGHT_SAMPLERS:
         batches[name] = Batches()
         plugin = djpt.load_dict(choosing(name, integrator))
         for seed in range(24):
             batches[name].add(pixels(djpt.render(scene, integrator=plugin, spp=32, seed=1000 * len(name) + seed)))
-    for name in CHOICES[1:]:
+    for name in LIGHT_SAMPLERS[1:]:
         for test in (block_test, mean_test):
             result = test(batches[name], batches["uniform"], equal_variance=False)
             print(name, result)
@@ -188,7 +188,7 @@ def test_benchmark_scenes_render(name: str, monkeypatch: pytest.MonkeyPatch) -> 
     import many_lights
 
     scene = djpt.load_dict(many_lights.SCENES[name](40, 16))
-    for choice in CHOICES:
+    for choice in LIGHT_SAMPLERS:
         image, _ = many_lights.rendered(scene, choice, 4, 0)
         assert np.isfinite(image).all()
         assert image.mean() > 0

@@ -146,7 +146,7 @@ def test_positions_lie_on_the_surface(name: str, description: dict[str, Any]) ->
 def test_positions_are_uniform(name: str, description: dict[str, Any]) -> None:
     """Equal areas get equal shares: moments of the positions against Mitsuba's mesh or its formula."""
     mi = pytest.importorskip("mitsuba")
-    if registry.home_of(name) is None:
+    if registry.mitsuba_kind_of(name) is None:
         pytest.skip("Mitsuba has no such shape: see tests/geometry/test_classic_shapes.py")
     mine = lit(shape=description).shapes()[0]
     described = djpt.validation.to_mitsuba(description)

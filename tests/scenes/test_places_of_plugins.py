@@ -14,7 +14,7 @@ import pytest
 
 import djpt
 from djpt.core.transforms import ScalarTransform4f as T
-from djpt.description.frame_change import Rooted
+from djpt.description.frame_change import NotMovable
 from djpt.jit.types import Vector3f
 from djpt.scene.normalization.frame import WorkingFrame
 from djpt.scene.normalization.plugin_copies import Carrier
@@ -94,8 +94,8 @@ def ball(bsdf: str, integrator: Any, schedule: str = "auto") -> Any:
 
 def moved(bsdf: Any) -> str:
     try:
-        return type(Carrier(WorkingFrame(0.125, (1, 2, 3))).carried(bsdf)).__name__
-    except Rooted as error:
+        return type(Carrier(WorkingFrame(0.125, (1, 2, 3))).copy_of(bsdf)).__name__
+    except NotMovable as error:
         return str(error)
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from djpt.apps.orbit import HeldCamera
+from djpt.apps.orbit import OrbitCamera
 from djpt.core.transforms import ScalarTransform4f
 from djpt.core.transforms.matrices import about_axis
 from djpt.errors import ParameterError
@@ -99,7 +99,7 @@ class Track:
 class TurningCamera:
     """A camera that turns about what it looks at, at constant speed: the track of its transform."""
 
-    camera: HeldCamera
+    camera: OrbitCamera
     """The camera at frame 0."""
     degrees: float
     """The angle from frame to frame, to the right as seen through the camera, in degrees."""

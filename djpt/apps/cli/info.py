@@ -45,7 +45,7 @@ def describe(scene: Scene) -> str:
 
 def of_triangles(triangles: Triangles, shapes: Sequence[Shape]) -> list[tuple[str, str]]:
     """Describe the BVH: (name, text) for each of its numbers."""
-    nodes, depth, cost = triangles.forest.statistics()
+    nodes, depth, cost = triangles.two_level_bvh.statistics()
     stored, seen = triangles.meshes.face_count, sum(faces_of(shape) for shape in shapes)
     instanced = "" if stored == seen else f", {seen} with instances"
     return [

@@ -31,12 +31,12 @@ def command(degrees: float, **chosen: Any) -> None:
     def turning(scene: Scene, sensor: Sensor) -> dict[str, Moving]:
         import djpt
         from djpt.apps.animation.tracks import TurningCamera
-        from djpt.apps.orbit import HeldCamera
+        from djpt.apps.orbit import OrbitCamera
 
         names = djpt.traverse(scene).names_of(sensor)
         key = next((name for name in names if name.rpartition(".")[2] == "to_world"), None)
         if key is None:
             raise djpt.RenderError(f"'{sensor.id()}' can't be moved")
-        return {key: TurningCamera(HeldCamera.of(scene, sensor), degrees / chosen["frames"])}
+        return {key: TurningCamera(OrbitCamera.of(scene, sensor), degrees / chosen["frames"])}
 
     animate(turning, **chosen)

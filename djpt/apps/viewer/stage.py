@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 import djpt
-from djpt.apps.orbit import HeldCamera
+from djpt.apps.orbit import OrbitCamera
 from djpt.apps.viewer.controls import changed, controls
 from djpt.core.transforms import ScalarTransform4f
 from djpt.errors import RenderError, near_miss
@@ -58,7 +58,7 @@ class Stage:
         self._to_world = next(name for name in names if name.endswith("to_world"))
         film = self.params.names_of(self.sensor.film())
         self._crop = {name.rpartition(".")[2]: name for name in film}
-        self.camera = self.home = HeldCamera.of(self.scene, self.sensor)
+        self.camera = self.home = OrbitCamera.of(self.scene, self.sensor)
         """Where the camera is, and where the scene has it."""
 
     # ---- what is rendered --------------------------------------------------------------------
@@ -137,7 +137,7 @@ class Stage:
         """Move the camera back to where the scene has it."""
         self.hold(self.home)
 
-    def hold(self, camera: HeldCamera) -> None:
+    def hold(self, camera: OrbitCamera) -> None:
         """Put the camera somewhere.
 
         Raises:

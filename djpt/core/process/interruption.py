@@ -59,7 +59,7 @@ class Interruption:
 
     @property
     def share(self) -> float | None:
-        """The share of the samples that are computed; None if nobody knows."""
+        """The fraction of the samples that are computed; None if nobody knows."""
         if self._before is None or not (self._before or self.total):
             return None
         # Samplers may round up.

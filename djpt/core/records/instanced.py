@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from djpt.core.records.record import Record
-from djpt.core.records.scene_ref import Home, at_home
+from djpt.core.records.scene_ref import SceneRef, scene_of
 from djpt.jit.types import UInt32
 
 __all__ = ["Instanced"]
@@ -16,7 +16,7 @@ class Instanced(Record):
 
     instances: tuple[UInt32, ...]
     """The index of the instance into ``scene.shapes()``; nothing in scenes without instances: see `instance`."""
-    home: Home
+    scene_ref: SceneRef
 
     @property
     def instance(self) -> Any:
@@ -26,7 +26,7 @@ class Instanced(Record):
         """
         if "_instance" in self.__dict__:
             return self.__dict__["_instance"]
-        return at_home(self).instance_at(self) if self.home else None
+        return scene_of(self).instance_at(self) if self.scene_ref else None
 
     @instance.setter
     def instance(self, instance: Any) -> None:

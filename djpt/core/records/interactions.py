@@ -12,7 +12,7 @@ from djpt.core.records.instanced import Instanced
 from djpt.core.records.points import Interaction3f
 from djpt.core.records.rays import Ray3f
 from djpt.core.records.record import Record, no_wavelengths
-from djpt.core.records.scene_ref import at_home, latest_home, only
+from djpt.core.records.scene_ref import latest_scene_ref, only, scene_of
 from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector2f, Vector3f
 
 __all__ = ["PreliminaryIntersection3f", "SceneView", "SurfaceInteraction3f"]
@@ -21,8 +21,8 @@ __all__ = ["PreliminaryIntersection3f", "SceneView", "SurfaceInteraction3f"]
 class SceneView(Protocol):
     """The scene as a surface point sees it."""
 
-    near_share: Float
-    """The share of a camera ray's `maxt` between the camera and its near plane."""
+    near_clip_fraction: Float
+    """The fraction of a camera ray's `maxt` between the camera and its near plane."""
 
     units: Any
     """Conversion of lengths and points to the scene's description, for a scene in a working frame; else None."""
@@ -88,14 +88,14 @@ class PreliminaryIntersection3f(Instanced):
         return pi
 
     def default(self, name: str) -> Any:
-        if name == "home":
+        if name == "scene_ref":
             return {}
         return Float(dr.inf) if name == "t" else super().default(name)
 
     def zero_(self, size: int = 1) -> None:
         """Complete `dr.zeros`: nothing was hit."""
         self.fill_with_zeros(size)
-        self.t, self.home = dr.full(Float, dr.inf, size), latest_home()
+        self.t, self.scene_ref = dr.full(Float, dr.inf, size), latest_scene_ref()
 
     def shown(self) -> Sequence[str]:
         return "valid", "t", "prim_uv", "prim_index", "shape_index"
@@ -108,7 +108,7 @@ class PreliminaryIntersection3f(Instanced):
     @property
     def shape(self) -> Any:
         """The shape that was hit, a `djpt.shapes.pointer.ShapePtr`, null on a miss; or what was assigned."""
-        return self.__dict__["_shape"] if "_shape" in self.__dict__ else at_home(self).shape_at(self)
+        return self.__dict__["_shape"] if "_shape" in self.__dict__ else scene_of(self).shape_at(self)
 
     @shape.setter
     def shape(self, shape: Any) -> None:
@@ -128,10 +128,10 @@ class PreliminaryIntersection3f(Instanced):
         self, ray: Ray3f, ray_flags: int = 0xE, active: Bool | bool = True
     ) -> SurfaceInteraction3f:
         """The surface point of the hit of `ray`: see `djpt.Scene.ray_intersect` for `ray_flags`."""
-        if not self.home and "_shape" in self.__dict__:
+        if not self.scene_ref and "_shape" in self.__dict__:
             found: SurfaceInteraction3f = self.shape.compute_surface_interaction(ray, self, ray_flags, active)
             return found
-        return at_home(self).surface_interaction_of(self, ray, ray_flags, active)
+        return scene_of(self).surface_interaction_of(self, ray, ray_flags, active)
 
 
 class SurfaceInteraction3f(Interaction3f, Instanced):
@@ -175,24 +175,24 @@ class SurfaceInteraction3f(Interaction3f, Instanced):
             self.t, self.sh_frame = Float(0), Frame3f.from_normal(self.n)
 
     def default(self, name: str) -> Any:
-        if name == "home":
+        if name == "scene_ref":
             return {}
-        if name == "prim_index" and self.home:
+        if name == "prim_index" and self.scene_ref:
             return self.scene.primitive_index(self)
         return super().default(name)
 
     def zero_(self, size: int = 1) -> None:
         super().zero_(size)
-        self.home = latest_home()
+        self.scene_ref = latest_scene_ref()
 
     @property
     def scene(self) -> SceneView:
         """The scene that the point belongs to."""
-        return at_home(self)
+        return scene_of(self)
 
     @scene.setter
     def scene(self, scene: SceneView) -> None:
-        self.home = {scene: ()}
+        self.scene_ref = {scene: ()}
 
     @property
     def medium(self) -> UInt32 | None:
@@ -213,7 +213,7 @@ class SurfaceInteraction3f(Interaction3f, Instanced):
         """The shape, a `djpt.shapes.pointer.ShapePtr`, null on a miss; or what was assigned."""
         if "_shape" in self.__dict__:
             return self.__dict__["_shape"]
-        return at_home(self).shape_at(self) if self.home else None
+        return scene_of(self).shape_at(self) if self.scene_ref else None
 
     @shape.setter
     def shape(self, shape: Any) -> None:

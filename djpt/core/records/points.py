@@ -17,7 +17,7 @@ RAY_EPSILON = 1500 * 2.0**-24
 """Offset of a spawned ray along the normal, relative to 1 + the largest coordinate (Mitsuba's value)."""
 
 SHADOW_EPSILON = 10 * RAY_EPSILON
-"""A shadow ray stops short of the light by this share of its length."""
+"""A shadow ray stops short of the light by this fraction of its length."""
 
 
 @dataclass

@@ -11,7 +11,7 @@ import drjit as dr
 from djpt.core.records.interactions import SurfaceInteraction3f
 from djpt.core.records.rays import Ray3f
 from djpt.core.records.record import Record
-from djpt.core.records.scene_ref import Home, at_home, latest_home
+from djpt.core.records.scene_ref import SceneRef, latest_scene_ref, scene_of
 from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
 
 __all__ = ["NO_EMITTER", "BSDFSample3f", "DirectionSample3f", "EmissionSample", "PositionSample3f"]
@@ -67,7 +67,7 @@ class DirectionSample3f(PositionSample3f):
     weight: Float
     emitter_index: UInt32
     """The number of the emitter; the count of emitters, or `NO_EMITTER`, means none."""
-    home: Home
+    scene_ref: SceneRef
 
     @overload
     def __init__(self, other: PositionSample3f | None = None, **fields: Any) -> None: ...
@@ -94,7 +94,7 @@ class DirectionSample3f(PositionSample3f):
             self.emitter = emitter
 
     def default(self, name: str) -> Any:
-        if name == "home":
+        if name == "scene_ref":
             return {}
         if name == "weight":
             return dr.select(self.pdf > 0, dr.rcp(self.pdf), 0)
@@ -105,7 +105,7 @@ class DirectionSample3f(PositionSample3f):
     def zero_(self, size: int = 1) -> None:
         """Complete `dr.zeros`: no emitter."""
         self.fill_with_zeros(size)
-        self.emitter_index, self.home = dr.full(UInt32, NO_EMITTER, size), latest_home()
+        self.emitter_index, self.scene_ref = dr.full(UInt32, NO_EMITTER, size), latest_scene_ref()
 
     @staticmethod
     def of(  # type: ignore[override]
@@ -132,7 +132,7 @@ class DirectionSample3f(PositionSample3f):
         `ray` started at `ref`, moved off the surface there; None stands for any that hit `si`. `pdf` and `weight` are
         left at 0; `n` is the normal of the side that shines.
         """
-        scene = scene or (at_home(si) if si.home else None)
+        scene = scene or (scene_of(si) if si.scene_ref else None)
         index = UInt32(NO_EMITTER) if scene is None else scene.emitter_index_at(si)
         to_p = si.p - ref
         dist_squared = dr.squared_norm(to_p)
@@ -143,7 +143,7 @@ class DirectionSample3f(PositionSample3f):
             si.p, si.sh_frame.n, si.uv, d, dist_squared * inv_dist, Float(0), Float(0), Bool(False), index
         )
         if scene is not None:
-            ds.home = {scene: ()}
+            ds.scene_ref = {scene: ()}
         if "time" in si.__dict__:
             ds.time = si.time
         return ds
@@ -152,7 +152,7 @@ class DirectionSample3f(PositionSample3f):
         return ELEMENTS
 
     def text(self, name: str) -> str:
-        if name == "emitter" and not self.home:
+        if name == "emitter" and not self.scene_ref:
             return "[0x0]"
         return super().text(name)
 
@@ -161,7 +161,7 @@ class DirectionSample3f(PositionSample3f):
         """The emitter, a `djpt.emitters.pointer.EmitterPtr`; None in a record that belongs to no scene."""
         if "_emitter" in self.__dict__:
             return self.__dict__["_emitter"]
-        return at_home(self).emitter_ptr(self.emitter_index) if self.home else None
+        return scene_of(self).emitter_ptr(self.emitter_index) if self.scene_ref else None
 
     @emitter.setter
     def emitter(self, emitter: Any) -> None:

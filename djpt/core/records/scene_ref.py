@@ -8,9 +8,9 @@ from typing import Any
 
 from djpt.errors import RenderError
 
-__all__ = ["Home", "at_home", "latest_home", "note_latest", "only"]
+__all__ = ["SceneRef", "latest_scene_ref", "note_latest", "only", "scene_of"]
 
-Home = dict[Any, tuple[()]]
+SceneRef = dict[Any, tuple[()]]
 """A reference to a scene: it is the only key. Dr.Jit keeps the keys of dicts whatever it does with their values."""
 
 
@@ -33,15 +33,15 @@ def note_latest(scene: Any) -> None:
     _latest.scene = weakref.ref(scene)
 
 
-def latest_home() -> Home:
-    """The home of records made by `dr.zeros`, so that they fit into loops and selects with those of hits."""
+def latest_scene_ref() -> SceneRef:
+    """The scene of records made by `dr.zeros`, so that they fit into loops and selects with those of hits."""
     scene = None if _latest.scene is None else _latest.scene()
     return {} if scene is None else {scene: ()}
 
 
-def at_home(record: Any) -> Any:
+def scene_of(record: Any) -> Any:
     """The scene that a record belongs to; raise `RenderError` if there is none."""
-    for scene in record.home:
+    for scene in record.scene_ref:
         return scene
     raise RenderError(f"this {type(record).__name__} belongs to no scene: it wasn't found by a ray")
 

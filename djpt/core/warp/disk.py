@@ -103,6 +103,6 @@ def square_to_uniform_square_concentric(sample: Point2f) -> Point2f:
 
 
 def turns(y: Float, x: Float) -> Float:
-    """The angle of the direction (x, y) in [0, 1), as a share of a turn."""
+    """The angle of the direction (x, y) in [0, 1), as a fraction of a turn."""
     phi = dr.atan2(y, x) * (0.5 * INV_PI)
     return dr.select(phi < 0, phi + 1, phi)

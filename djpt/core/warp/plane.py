@@ -89,7 +89,7 @@ def interval_to_nonuniform_tent(a: Float, b: Float, c: Float, d: Float) -> Float
     """A number in [a, c] whose density rises linearly from a to b and falls from b to c, by the sample `d`."""
     rising = d * (c - a) < b - a
     side = dr.select(rising, a - b, c - b)
-    # What is left of the sample on its side of the peak, as a share of that side.
+    # What is left of the sample on its side of the peak, as a fraction of that side.
     share = dr.select(rising, d * (a - c) / (a - b), ((a - c) / (b - c)) * (d - (a - b) / (a - c)))
     return b + side * (1 - dr.safe_sqrt(share))
 

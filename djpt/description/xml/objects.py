@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from djpt.description.registry import home_of, kind_of, unknown
+from djpt.description.registry import kind_of, mitsuba_kind_of, unknown
 from djpt.description.xml.source import Element
 
 __all__ = ["OBJECTS", "check_type", "check_types", "is_object"]
@@ -46,7 +46,7 @@ def check_types(root: Element) -> None:
 def check_type(element: Element) -> None:
     """Raise `SceneError` if neither djpt nor Mitsuba has the plugin of an element, or if its tag is another."""
     expected, name = OBJECTS.get(element.tag, "texture"), element.attributes["type"]
-    kind = kind_of(name) or home_of(name)
+    kind = kind_of(name) or mitsuba_kind_of(name)
     if kind is None:
         raise element.error(str(unknown(expected, name)))
     if kind != expected:

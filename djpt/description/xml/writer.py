@@ -17,7 +17,7 @@ from djpt.core.numeric import as_array, as_number, describe
 from djpt.core.transforms import ScalarTransform3f, ScalarTransform4f, matrix_of
 from djpt.description.loader import Loader
 from djpt.description.plugin import Plugin
-from djpt.description.registry import home_of, kind_of, unknown
+from djpt.description.registry import kind_of, mitsuba_kind_of, unknown
 from djpt.description.xml.objects import OBJECTS
 from djpt.errors import SceneError
 
@@ -115,7 +115,7 @@ class _Writer:
 
     def _node(self, path: str, key: str, node: Mapping[str, Any], depth: int) -> None:
         where = self.loader.name(path)
-        kind = kind_of(node["type"]) or home_of(node["type"])
+        kind = kind_of(node["type"]) or mitsuba_kind_of(node["type"])
         if kind is None:
             raise SceneError(f"{where}: {unknown(None, node['type'])}")
         at_top = self.in_scene and path == key

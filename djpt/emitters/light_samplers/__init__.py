@@ -3,27 +3,27 @@
 from collections.abc import Sequence
 
 from djpt.emitters.base import Emitter
-from djpt.emitters.light_samplers.base import EmitterChoice
+from djpt.emitters.light_samplers.base import LightSampler
 
-__all__ = ["CHOICES", "EmitterChoice", "make_choice"]
+__all__ = ["LIGHT_SAMPLERS", "LightSampler", "make_light_sampler"]
 
-CHOICES = ("uniform", "power", "tree")
+LIGHT_SAMPLERS = ("uniform", "power", "tree")
 
 
-def make_choice(name: str, emitters: Sequence[Emitter]) -> EmitterChoice:
-    """The light sampler with one of the names in `CHOICES`.
+def make_light_sampler(name: str, emitters: Sequence[Emitter]) -> LightSampler:
+    """The light sampler with one of the names in `LIGHT_SAMPLERS`.
 
     `sampling_weight`s count as in Mitsuba: as soon as one of them isn't 1.
     """
     # A scene imports the one that it has.
     if name == "tree":
-        from djpt.emitters.light_samplers.tree import TreeChoice
+        from djpt.emitters.light_samplers.tree import TreeLightSampler
 
-        return TreeChoice(emitters)
+        return TreeLightSampler(emitters)
     if name == "power" or any(e.sampling_weight() != 1 for e in emitters):
-        from djpt.emitters.light_samplers.weighted import WeightedChoice
+        from djpt.emitters.light_samplers.weighted import WeightedLightSampler
 
-        return WeightedChoice(emitters, by_power=name == "power")
-    from djpt.emitters.light_samplers.uniform import UniformChoice
+        return WeightedLightSampler(emitters, by_power=name == "power")
+    from djpt.emitters.light_samplers.uniform import UniformLightSampler
 
-    return UniformChoice(emitters)
+    return UniformLightSampler(emitters)

@@ -10,16 +10,16 @@ from djpt.jit.types import Float, Point3f, UInt32, Vector3f
 if TYPE_CHECKING:
     from djpt.emitters.base import Emitter
 
-__all__ = ["EmitterChoice"]
+__all__ = ["LightSampler"]
 
 
-class EmitterChoice:
+class LightSampler:
     """A distribution over a scene's emitters, for a point that light is to be sampled at.
 
     Built on the host, before kernels are traced; the methods run in kernels.
     """
 
-    looks_at_normal = False
+    uses_normal = False
     """True if the choice depends on the surface normal at the point."""
 
     def __init__(self, emitters: Sequence[Emitter]) -> None:

@@ -10,7 +10,7 @@ from djpt.core.records import DirectionSample3f, Observer, Ray3f, Reference, Sur
 from djpt.dispatch.ensemble import Ensemble, Lookup
 from djpt.dispatch.family import Family
 from djpt.emitters.base import Emitter
-from djpt.emitters.light_samplers.base import EmitterChoice
+from djpt.emitters.light_samplers.base import LightSampler
 from djpt.emitters.pointer import EmitterPtr
 from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, UInt32, Vector3f
 
@@ -42,7 +42,7 @@ class LightSampling:
     """The emitters of a scene, a way to choose among them, and a way to read their values."""
 
     emitters: Ensemble[Emitter]
-    choice: EmitterChoice
+    light_sampler: LightSampler
     lookup: Lookup
 
     def sample(self, ref: Observer, sample: Point2f, active: Bool | bool = True) -> LightSample:
@@ -55,9 +55,9 @@ class LightSampling:
                 ref.p, Normal3f(0), Point2f(0), Vector3f(0, 0, 1), Float(0), Float(0), Float(0), Bool(False), UInt32(0)
             )
             return LightSample(nothing, Color3f(0))
-        index, inverse, u = self.choice.choose(ref.p, ref.n, sample.x)
+        index, inverse, u = self.light_sampler.choose(ref.p, ref.n, sample.x)
         ds, weight = self._emitter(index).sample_direction(ref, Point2f(u, sample.y), active)
-        if self.choice.count > 1:
+        if self.light_sampler.count > 1:
             probability = dr.select(inverse > 0, dr.rcp(inverse), 0)
             ds.pdf, ds.weight, weight = ds.pdf * probability, ds.weight * inverse, weight * inverse
         return LightSample(ds, weight)
@@ -67,7 +67,7 @@ class LightSampling:
         pdf = self._emitter(ds.emitter_index).pdf_direction(ref, ds, active)
         if len(self.emitters) < 2:
             return pdf
-        return pdf * self.choice.probability(ref.p, ref.n, ds.emitter_index)
+        return pdf * self.light_sampler.probability(ref.p, ref.n, ds.emitter_index)
 
     def at_vertex(
         self, ref: Reference, ray: Ray3f, si: SurfaceInteraction3f, sample: Point2f, active: Bool

@@ -10,7 +10,7 @@ import numpy as np
 
 from djpt.distributions.discrete import Discrete
 from djpt.emitters.base import Emitter
-from djpt.emitters.light_samplers.base import EmitterChoice
+from djpt.emitters.light_samplers.base import LightSampler
 from djpt.emitters.light_samplers.tree_build import LEAF, Lights, build
 from djpt.emitters.light_samplers.tree_nodes import children, pack
 from djpt.errors import SceneError
@@ -18,7 +18,7 @@ from djpt.jit.kernels import own_copy, while_loop
 from djpt.jit.types import Float, Point3f, UInt32, Vector3f
 from djpt.samplers.hashing import sample_tea_32
 
-__all__ = ["TreeChoice"]
+__all__ = ["TreeLightSampler"]
 
 NOWHERE = 0xFFFFFFFF
 """In place of a link: no emitter can be chosen."""
@@ -38,7 +38,7 @@ class Descent:
     u: Float
 
 
-class TreeChoice(EmitterChoice):
+class TreeLightSampler(LightSampler):
     """Emitters by descending a tree of lights, at every node to a child in proportion to its importance.
 
     Importance is estimated from a node's bounds for the point and the normal: see
@@ -51,7 +51,7 @@ class TreeChoice(EmitterChoice):
     4th ed., 2023, section 12.6.3.
     """
 
-    looks_at_normal = True
+    uses_normal = True
 
     def __init__(self, emitters: Sequence[Emitter]) -> None:
         """Raises `SceneError` if no emitter can be chosen."""

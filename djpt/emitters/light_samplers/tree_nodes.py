@@ -40,14 +40,14 @@ SLACK = 2e-3
 """Directions count as lit that lie outside of a cone by less than this, in cosines: the rounding of `importance`."""
 
 NEAR = 0.25
-"""The squared distance counts at least this share of the squared radius.
+"""The squared distance counts at least this fraction of the squared radius.
 
 Within a ball the mean of 1 / dist^2 is 3 / radius^2 at the centre. Bounds (1 / radius^2 and less) would guide worse:
 among 1000 lights over a floor the variance is then four times larger.
 """
 
-BOUND_SHARE = 0.3
-"""The share of a cosine's largest value in the sphere; the rest is its value at the centre.
+BOUND_WEIGHT = 0.3
+"""The fraction of a cosine's largest value in the sphere; the rest is its value at the centre.
 
 Bounds alone have 1.6 times the variance.
 """
@@ -139,7 +139,7 @@ class Child:
 
 def typical(at_center: Float, largest: Float) -> Float:
     """The cosine that a node is judged by, from that at its centre and the largest one in its sphere."""
-    return dr.fma(maximum(at_center, Float(0)), 1 - BOUND_SHARE, largest * BOUND_SHARE)
+    return dr.fma(maximum(at_center, Float(0)), 1 - BOUND_WEIGHT, largest * BOUND_WEIGHT)
 
 
 def children(words: UInt32, node: UInt32) -> tuple[Child, Child]:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import drjit as dr
 
-from djpt.emitters.light_samplers.base import EmitterChoice
+from djpt.emitters.light_samplers.base import LightSampler
 from djpt.jit.types import Float, Point3f, UInt32, Vector3f
 
-__all__ = ["UniformChoice"]
+__all__ = ["UniformLightSampler"]
 
 
-class UniformChoice(EmitterChoice):
+class UniformLightSampler(LightSampler):
     """Every emitter with probability 1 / n, as in Mitsuba."""
 
     def choose(self, p: Point3f, n: Vector3f | None, u: Float) -> tuple[UInt32, Float, Float]:

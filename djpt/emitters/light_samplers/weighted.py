@@ -8,14 +8,14 @@ import numpy as np
 
 from djpt.distributions.discrete import Discrete
 from djpt.emitters.base import Emitter
-from djpt.emitters.light_samplers.base import EmitterChoice
+from djpt.emitters.light_samplers.base import LightSampler
 from djpt.errors import SceneError
 from djpt.jit.types import Float, Point3f, UInt32, Vector3f
 
-__all__ = ["WeightedChoice"]
+__all__ = ["WeightedLightSampler"]
 
 
-class WeightedChoice(EmitterChoice):
+class WeightedLightSampler(LightSampler):
     """Emitter i with probability w_i / sum w, by inversion of the cumulative sums, as in Mitsuba.
 
     The weights are the emitters' `sampling_weight`s, or those times their power.

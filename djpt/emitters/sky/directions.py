@@ -24,10 +24,10 @@ VALUES = ("azimuth", "glow", "horizon", "mean_z", "spread_z", "spread_phi", "low
 class SkyDirections(Plugin):
     """A density of directions above the horizon: a glow about the sun, and light from near the horizon.
 
-    With the share `glow` a truncated normal distribution of (z, phi), phi being the azimuth from the sun; else uniform
-    in azimuth with the density 1 / (2 pi h (1 + z^2 (1 / h^2 - 1))^1.5), where h is `horizon`: for h = 1 uniform,
-    and brighter at the horizon the smaller h is. Since the area of the sphere is dz dphi, both are densities per solid
-    angle. Parameters were fitted to the sky for each elevation of the sun and turbidity.
+    With the fraction `glow` a truncated normal distribution of (z, phi), phi being the azimuth from the sun; else
+    uniform in azimuth with the density 1 / (2 pi h (1 + z^2 (1 / h^2 - 1))^1.5), where h is `horizon`: for h = 1
+    uniform, and brighter at the horizon the smaller h is. Since the area of the sphere is dz dphi, both are densities
+    per solid angle. Parameters were fitted to the sky for each elevation of the sun and turbidity.
 
     After N. Vitsas, K. Vardis and G. Papaioannou, "Sampling Clear Sky Models using Truncated Gaussian Mixtures", EGSR
     2021.

@@ -26,7 +26,7 @@ class Instant:
     dome: SkyDome
     disc: SunDisc
     directions: SkyDirections
-    sky_share: Float
+    sky_fraction: Float
     """The probability with which `sample` chooses the sky, not the sun."""
     sky_scale: Float
     sun_scale: Float
@@ -45,14 +45,14 @@ class Instant:
 
     def pdf(self, local: Vector3f, on_disc: Bool) -> Float:
         """The density of `sample`, per unit solid angle."""
-        density = dr.lerp(dr.select(on_disc, self.disc.pdf(), 0), self.directions.pdf(local), self.sky_share)
+        density = dr.lerp(dr.select(on_disc, self.disc.pdf(), 0), self.directions.pdf(local), self.sky_fraction)
         return dr.select(self.is_day(local), density, 0)
 
     def sample(self, sample: Point2f) -> tuple[Vector3f, Float, Float, Color3f]:
         """Sample a direction, with its density per unit solid angle, 1 / density, and radiance."""
-        to_sky = sample.x < self.sky_share
-        rest = Point2f((sample.x - self.sky_share) / (1 - self.sky_share), sample.y)
-        sky = self.directions.sample(Point2f(sample.x / self.sky_share, sample.y))
+        to_sky = sample.x < self.sky_fraction
+        rest = Point2f((sample.x - self.sky_fraction) / (1 - self.sky_fraction), sample.y)
+        sky = self.directions.sample(Point2f(sample.x / self.sky_fraction, sample.y))
         local = dr.select(to_sky, sky, self.disc.sample(rest))
         on_disc = ~to_sky | self.disc.covers(local)
         pdf = self.pdf(local, on_disc)

@@ -27,7 +27,7 @@ class Guides:
     """What surfaces look like without light: images (H, W, 3), either of which may be missing."""
 
     albedo: Pixels | None = None
-    """The share of light that is reflected, 0 to 1."""
+    """The fraction of light that is reflected, 0 to 1."""
     normal: Pixels | None = None
     """Normals in any one frame, -1 to 1; 0 where there is no surface."""
 
@@ -48,7 +48,7 @@ def denoise(
 
     Args:
         image: (H, W, C) of linear values without an upper bound: `TensorXf`, NumPy array or `Image`.
-        albedo: (H, W, 3), the share of light that surfaces reflect: keeps textures sharp. Default: none.
+        albedo: (H, W, 3), the fraction of light that surfaces reflect: keeps textures sharp. Default: none.
         normal: (H, W, 3), normals of surfaces, in the world's frame or the camera's: keeps edges sharp. Default: none.
         channels: The names of the image's channels, `djpt.channel_names(scene)`. Default: Y; Y A; R G B; R G B A; of
             more channels the first three are the colour.

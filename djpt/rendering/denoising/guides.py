@@ -35,9 +35,9 @@ class GuideIntegrator(Terminating, Integrator):
     """The albedo and the shading normal of the first surface that isn't a mirror or clear glass: six channels.
 
     Mirrors, glass and openings are followed, by the lobes that their BSDFs sample, down to `max_depth` surfaces. The
-    albedo is the weight f abs(cos) / pdf of the BSDF's sample there, whose mean is the share of light that the surface
-    reflects, times the weights on the way. Lamps are black, which makes them stand out from what they shine on; the
-    environment is seen as it is. No channel is more than 1.
+    albedo is the weight f abs(cos) / pdf of the BSDF's sample there, whose mean is the fraction of light that the
+    surface reflects, times the weights on the way. Lights are black, which makes them stand out from what they shine
+    on; the environment is seen as it is. No channel is more than 1.
 
     Parameters: `max_depth` (default 8), `hide_emitters`.
     """
@@ -83,13 +83,13 @@ class GuideIntegrator(Terminating, Integrator):
             si = scene.surface_interaction(way, pi)
             hit = si.is_valid()
             throughput = look.throughput * scene.media.transmittance(way, si.t)
-            lamp = si.emitter().eval(si)
-            sky = dr.select(hit | (first & self.hide_emitters), 0, lamp)
+            emitted = si.emitter().eval(si)
+            sky = dr.select(hit | (first & self.hide_emitters), 0, emitted)
 
             bsdf = si.bsdf()
             bs, weight = bsdf.sample(BSDFContext(), si, look.sampler.next_1d(), look.sampler.next_2d(), hit)
             follows = hit & has_flag(bs.sampled_type, BSDFFlags.Delta) & (look.depth + 1 < self.longest)
-            reflects = hit & ~follows & (dr.max(lamp) == 0)
+            reflects = hit & ~follows & (dr.max(emitted) == 0)
             shown = throughput * (sky + dr.select(reflects, weight, 0))
             on = si.spawn_ray(si.to_world(bs.wo))
             return (

@@ -22,11 +22,11 @@ from djpt.rendering.gradients.gradient_sums import (
     Carried,
     Forward,
     Found,
+    GradientSums,
     Joined,
     Joint,
     Measure,
     Reverse,
-    Tally,
     added,
 )
 from djpt.rendering.gradients.light_replay import Joints, LightWalk, Step, begun, nothing, vanishes, walk_light_paths
@@ -41,7 +41,7 @@ __all__ = ["BothEnds"]
 class CameraWalk:
     """Loop state. Types are `Any` where Dr.Jit would look for their names in this module."""
 
-    end: Any
+    subpath: Any
     """The `End` of the path."""
     sampler: Any
     active: Bool
@@ -76,10 +76,10 @@ class BothEnds:
         found = Carried(found.light + joined.light, added(found.behind, None, joined.behind_other))
         self._light_walk(again, first, found, camera.joints)
 
-    def forward(self, tally: Forward, sampler: SampleStream) -> Color3f:
+    def forward(self, gradient_sums: Forward, sampler: SampleStream) -> Color3f:
         """The derivative of each sample, by gradients of what the scene reads; adds those of light shown elsewhere."""
-        light = self._light_walk(tally, sampler, self._nothing(), self._room())
-        camera = self._camera_walk(tally, light.sampler, self._nothing(), Color3f(0), light)
+        light = self._light_walk(gradient_sums, sampler, self._nothing(), self._room())
+        camera = self._camera_walk(gradient_sums, light.sampler, self._nothing(), Color3f(0), light)
         change: Color3f = camera.joined.change
         return change
 
@@ -92,50 +92,52 @@ class BothEnds:
         return Joined(empty.light, empty.behind, empty.behind, black)
 
     def _room(self) -> Joints:
-        aside = dr.alloc_local(Color3f, JOINED) if vanishes(self._scene) else None
-        return Joints(vertices(self._scene, JOINED), dr.alloc_local(Color3f, JOINED), aside)
+        zero_weight = dr.alloc_local(Color3f, JOINED) if vanishes(self._scene) else None
+        return Joints(vertices(self._scene, JOINED), dr.alloc_local(Color3f, JOINED), zero_weight)
 
     # ---- light paths -------------------------------------------------------------------
 
     def begin(self, sampler: SampleStream) -> tuple[Any, Color3f, Color3f | None]:
         """See `LightPaths`."""
-        end, power = self._integrator.at_light(self._scene, sampler)
+        subpath, power = self._integrator.at_light(self._scene, sampler)
         self._power = dr.detach(power)
-        throughput, aside = begun(self._scene, end.throughput, end.throughput)
-        return replace(end, throughput=throughput, aside=aside), throughput, aside
+        throughput, zero_weight = begun(self._scene, subpath.throughput, subpath.throughput)
+        return replace(subpath, throughput=throughput, zero_weight=zero_weight), throughput, zero_weight
 
     def step(self, state: Any, sampler: SampleStream, active: Bool) -> Step:
         """See `LightPaths`."""
         hit = self._integrator.light_hit(self._scene, state, self._power, sampler, active)
         found = self._integrator.light_step(self._scene, self._camera, hit, sampler)
         return Step(
-            arrived=hit.end.throughput,
+            arrived=hit.subpath.throughput,
             position=found.position,
             light=Color3f(0) if found.shown is None else found.shown * dr.detach(found.weight),
             shows=Bool(False) if found.shown is None else self._inside & hit.joins,
-            onward=found.end.throughput,
-            aside=found.end.aside,
-            state=found.end,
+            onward=found.subpath.throughput,
+            zero_weight=found.subpath.zero_weight,
+            state=found.subpath,
             active=found.active,
             joins=hit.joins,
-            vertex=dr.detach(hit.vertex),
+            vertex=dr.detach(hit.light_vertex),
         )
 
-    def _light_walk(self, tally: Tally, sampler: SampleStream, carried: Carried, joints: Joints) -> LightWalk:
+    def _light_walk(
+        self, gradient_sums: GradientSums, sampler: SampleStream, carried: Carried, joints: Joints
+    ) -> LightWalk:
         begins = self._integrator.starts_light_paths
-        return walk_light_paths(self, tally, sampler, self._lanes, carried, begins, joints)
+        return walk_light_paths(self, gradient_sums, sampler, self._lanes, carried, begins, joints)
 
     # ---- camera paths ------------------------------------------------------------------
 
     def _camera_walk(
-        self, tally: Tally, sampler: SampleStream, carried: Carried, delta: Color3f, light: LightWalk
+        self, gradient_sums: GradientSums, sampler: SampleStream, carried: Carried, delta: Color3f, light: LightWalk
     ) -> CameraWalk:
         """Follow camera paths, and connect them to the vertices of the light paths that were followed before."""
         integrator, scene = self._integrator, self._scene
-        end = integrator.at_camera(scene, self._camera, self._ray, self._inside)
-        end.aside = Color3f(1) if vanishes(scene) else None
+        subpath = integrator.at_camera(scene, self._camera, self._ray, self._inside)
+        subpath.zero_weight = Color3f(1) if vanishes(scene) else None
         start = CameraWalk(
-            end=wide(end, self._lanes),
+            subpath=wide(subpath, self._lanes),
             sampler=sampler,
             active=dr.full(Bool, integrator.max_depth != 0, self._lanes),
             covered=dr.full(Bool, False, self._lanes),
@@ -146,47 +148,49 @@ class BothEnds:
 
         def body(lane: CameraWalk) -> tuple[CameraWalk]:
             with dr.resume_grad():
-                hit = integrator.camera_hit(scene, lane.end, self._ray.maxt, lane.covered, lane.sampler, lane.active)
+                hit = integrator.camera_hit(
+                    scene, lane.subpath, self._ray.maxt, lane.covered, lane.sampler, lane.active
+                )
                 step = integrator.camera_step(scene, hit, lane.sampler)
-            arrived = dr.detach(hit.end)
+            arrived = dr.detach(hit.subpath)
             count = dr.select(hit.joins, light.count, 0)
 
             def connect(i: UInt32, joined: Joined, joints: Joints) -> tuple[UInt32, Joined, Joints]:
                 v = joints.vertices.read(i)
-                there = None if joints.aside is None else joints.aside.read(i)
+                there = None if joints.zero_weight is None else joints.zero_weight.read(i)
                 with dr.resume_grad():
-                    way, value, weight = integrator.connection(scene, arrived, hit.place, v)
+                    way, value, weight = integrator.connection(scene, arrived, hit.vertex, v)
                     lit = Bool(True) if dr.grad_enabled(value) else None
                     value = scene.transmittance(way, value, lit, to_emitter=False)
-                    joint = Joint(value * dr.detach(weight), delta, arrived.aside, there, joints.beside, i)
-                    joined = tally.connect(joined, joint)
+                    joint = Joint(value * dr.detach(weight), delta, arrived.zero_weight, there, joints.beside, i)
+                    joined = gradient_sums.connect(joined, joint)
                 return i + 1, joined, joints
 
             _, joined, lane.joints = while_loop(
                 (dr.zeros(UInt32, self._lanes), self._unjoined(), lane.joints),
                 lambda i, joined, joints: i < count,
                 connect,
-                label=f"connections, {tally.label}",
+                label=f"connections, {gradient_sums.label}",
             )
             with dr.resume_grad():
-                end, active = integrator.after(scene, hit, step, lane.sampler)
+                subpath, active = integrator.after(scene, hit, step, lane.sampler)
                 found = Found(
                     light=hit.met * dr.detach(hit.weight) + step.lit * dr.detach(step.weight),
                     adjoint=delta,
-                    arrived=hit.end.throughput,
+                    arrived=hit.subpath.throughput,
                     joined=joined,
-                    onward=end.throughput,
+                    onward=subpath.throughput,
                     active=active,
-                    before=arrived.aside,
-                    after=end.aside,
+                    before=arrived.zero_weight,
+                    after=subpath.zero_weight,
                 )
-                lane.carried, _, joined.change = tally.visit(lane.carried, found)
+                lane.carried, _, joined.change = gradient_sums.visit(lane.carried, found)
             lane.joined = both(lane.joined, joined)
             lane.covered |= step.covers
-            lane.end, lane.active = dr.detach(end), active
+            lane.subpath, lane.active = dr.detach(subpath), active
             return (lane,)
 
-        (walked,) = loop_traced_once(start, lambda lane: lane.active, body, f"camera path, {tally.label}")
+        (walked,) = loop_traced_once(start, lambda lane: lane.active, body, f"camera path, {gradient_sums.label}")
         return walked
 
 

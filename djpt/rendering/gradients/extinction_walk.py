@@ -1,11 +1,10 @@
 """Path replay through media whose extinction is tracked: a third walk finds what more matter would scatter.
 
 The second walk of `djpt.rendering.gradients.replay` differentiates what a path has met. That isn't all where the
-extinction has
-derivatives: more matter scatters more light, also where there is none, and no path has a vertex there. So the second
-walk takes one point of its whole way at which light might be scattered, in proportion to what would come from there to
-the camera by what the walk knows (`djpt.media.differentials`). The third walk, a detour, begins at this point: with
-its radiance S the derivative of the sample is S weight d(sigma_t).
+extinction has derivatives: more matter scatters more light, also where there is none, and no path has a vertex there.
+So the second walk takes one point of its whole way at which light might be scattered, in proportion to what would come
+from there to the camera by what the walk knows (`djpt.media.differentials`). The third walk, the extinction walk,
+begins at this point: with its radiance S the derivative of the sample is S weight d(sigma_t).
 
 M. Nimier-David, T. Mueller, A. Keller and W. Jakob, "Unbiased Inverse Volume Rendering with Differential Trackers",
 SIGGRAPH 2022.
@@ -35,22 +34,22 @@ from djpt.samplers.base import SampleStream
 from djpt.scene.scene import Scene
 
 __all__ = [
-    "Detour",
+    "ExtinctionWalk",
     "attached_extinction",
-    "detour_past",
     "needed",
-    "no_detour",
+    "next_extinction_walk",
+    "no_extinction_walk",
     "observed",
     "run",
     "scattered",
     "turned_off",
 ]
 
-FIRST, AGAIN, ASIDE = 0, 1, 2
+FIRST, AGAIN, EXTINCTION = 0, 1, 2
 """The walks of a sample."""
 
 TAKEN = 0.1
-"""The share of samples that make a detour, which takes longer than a walk from the camera: it begins in the medium."""
+"""The fraction of samples with an extinction walk: beginning in the medium, it takes longer than a camera path."""
 
 
 def needed(scene: Scene, numbering: Numbering) -> bool:
@@ -67,7 +66,7 @@ def attached_extinction(scene: Scene) -> bool:
 
 
 @dataclass
-class Detour:
+class ExtinctionWalk:
     """The beginning of a third walk: loop state."""
 
     ray: Ray3f
@@ -80,24 +79,30 @@ class Detour:
     """The sum of the largest components for all points that might have been taken."""
 
 
-def no_detour(ray: Ray3f, path: VolumetricPathState) -> Detour:
-    """The detour of a path that has met no medium yet."""
-    return Detour(Ray3f(ray), replace(path), Color3f(0), Float(0))
+def no_extinction_walk(ray: Ray3f, path: VolumetricPathState) -> ExtinctionWalk:
+    """The extinction walk of a path that has met no medium yet."""
+    return ExtinctionWalk(Ray3f(ray), replace(path), Color3f(0), Float(0))
 
 
-def detour_past(
-    scene: Scene, known: Detour, path: VolumetricPathState, ray: Ray3f, flown: Float, length: Float, active: Bool
-) -> Detour:
-    """The detour of a path after a segment: from there, or the one that is `known`."""
+def next_extinction_walk(
+    scene: Scene,
+    known: ExtinctionWalk,
+    path: VolumetricPathState,
+    ray: Ray3f,
+    flown: Float,
+    length: Float,
+    active: Bool,
+) -> ExtinctionWalk:
+    """The extinction walk of a path after a segment: from there, or the one that is `known`."""
     point, weight = scene.media.scattering_point(ray, flown, length, active)
     # A factor that is set aside, see `djpt.rendering.gradients.zero_weights`, belongs to what comes to the camera, too.
-    assert path.aside is not None
-    weight = dr.select(active, path.throughput * path.aside * weight, 0)
+    assert path.zero_weight is not None
+    weight = dr.select(active, path.throughput * path.zero_weight * weight, 0)
     mass = dr.max(weight)
     total = known.total + mass
     takes = (mass > 0) & (point.choice * total < mass)
     onward = ray.replaced(o=ray(point.t))
-    return Detour(
+    return ExtinctionWalk(
         ray=dr.select(takes, onward, known.ray),
         path=dr.select(takes, path, known.path),
         shade=dr.select(takes, weight * dr.rcp(mass), known.shade),
@@ -106,14 +111,14 @@ def detour_past(
 
 
 def observed(path: PathState) -> VolumetricPathState:
-    """The state of a path that begins, and of which detours need to know how far it gets."""
+    """The state of a path that begins, and of which extinction walks need to know how far it gets."""
     assert isinstance(path, VolumetricPathState)
     return replace(path, scatters=Bool(False), flown=Float(0))
 
 
-def turned_off(detour: Detour) -> VolumetricPathState:
-    """The state of a path that begins with a detour."""
-    return replace(detour.path, throughput=Color3f(1), aside=Color3f(1), scatters=Bool(True))
+def turned_off(extinction_walk: ExtinctionWalk) -> VolumetricPathState:
+    """The state of a path at the beginning of an extinction walk."""
+    return replace(extinction_walk.path, throughput=Color3f(1), zero_weight=Color3f(1), scatters=Bool(True))
 
 
 @dataclass
@@ -128,8 +133,8 @@ class Lane:
     behind: Color3f | None
     """See `djpt.rendering.gradients.zero_weights`."""
     walk: UInt32
-    """`FIRST`, `AGAIN` or `ASIDE`."""
-    detour: Detour
+    """`FIRST`, `AGAIN` or `EXTINCTION`."""
+    extinction_walk: ExtinctionWalk
     k: UInt32
     slot: UInt32
     delta: Color3f
@@ -163,7 +168,7 @@ def run(
         radiance=dr.zeros(Color3f, count),
         behind=blank(attached, count),
         walk=dr.full(UInt32, FIRST, count),
-        detour=wide(no_detour(ray, path), count),
+        extinction_walk=wide(no_extinction_walk(ray, path), count),
         k=wide(lanes.first, count),
         slot=wide(slots, count),
         delta=wide(mode.delta_of(slots, Bool(True)), count),
@@ -180,32 +185,34 @@ def run(
         assert isinstance(v.state, VolumetricPathState)
         assert v.state.flown is not None
         ended, runs = ~v.active, lane.k < lanes.end
-        second, aside = runs & lane.again, runs & (lane.walk == ASIDE)
+        second, third = runs & lane.again, runs & (lane.walk == EXTINCTION)
         radiance, behind, outgoing = mode.outgoing(lane, v, arrived)
         with dr.resume_grad():
-            there = scattered(view, lane.detour, radiance * (1 / TAKEN), aside & ended)
-            outgoing = dr.select(second, outgoing, 0) + dr.select(aside & ended, there, 0)
-            lane.delta, lane.sums = mode.differentiate(lane, leaves, outgoing, second | (aside & ended))
+            there = scattered(view, lane.extinction_walk, radiance * (1 / TAKEN), third & ended)
+            outgoing = dr.select(second, outgoing, 0) + dr.select(third & ended, there, 0)
+            lane.delta, lane.sums = mode.differentiate(lane, leaves, outgoing, second | (third & ended))
 
         length = dr.select(si.is_valid(), si.t, lane.ray.maxt)
-        detour = detour_past(scene, lane.detour, lane.path, lane.ray, v.state.flown, length, second)
-        turns = second & ended & (detour.total > 0) & (lane.sampler.next_1d() < TAKEN)
-        finished = ended & ((second & ~turns) | aside)
+        extinction_walk = next_extinction_walk(
+            scene, lane.extinction_walk, lane.path, lane.ray, v.state.flown, length, second
+        )
+        turns = second & ended & (extinction_walk.total > 0) & (lane.sampler.next_1d() < TAKEN)
+        finished = ended & ((second & ~turns) | third)
         k = dr.select(finished, lane.k + lanes.stride, lane.k)
         next_slot = dr.select(finished, lane.slot + slot_stride, lane.slot)
         delta, sums = mode.hand_over(job, lane, finished, next_slot, finished & (k < lanes.end))
         fresh, camera_ray, restart = begin(k)
-        after = dr.select(turns, detour.ray, dr.select(ended, camera_ray, dr.detach(v.ray)))
+        after = dr.select(turns, extinction_walk.ray, dr.select(ended, camera_ray, dr.detach(v.ray)))
         walk = dr.select(finished, UInt32(FIRST), dr.select(ended, lane.walk + 1, lane.walk))
-        detour.total = dr.select(ended & ~turns, 0, detour.total)
+        extinction_walk.total = dr.select(ended & ~turns, 0, extinction_walk.total)
         return Lane(
             ray=after,
             sampler=dr.select(ended & ~turns, fresh, lane.sampler),
-            path=dr.select(turns, turned_off(detour), dr.select(ended, restart, dr.detach(v.state))),
+            path=dr.select(turns, turned_off(extinction_walk), dr.select(ended, restart, dr.detach(v.state))),
             radiance=dr.select(finished | turns, 0, radiance),
             behind=None if behind is None else dr.select(finished | turns, 0, behind),
             walk=walk,
-            detour=detour,
+            extinction_walk=extinction_walk,
             k=k,
             slot=next_slot,
             delta=delta,
@@ -216,10 +223,10 @@ def run(
     return end.sums, end.k
 
 
-def scattered(scene: Scene, detour: Detour, radiance: Color3f, active: Bool) -> Color3f:
-    """What the matter at a detour's beginning scatters to the camera, given the radiance that the detour found."""
-    ray = detour.ray
+def scattered(scene: Scene, extinction_walk: ExtinctionWalk, radiance: Color3f, active: Bool) -> Color3f:
+    """The light scattered to the camera where an extinction walk begins, given the radiance that the walk found."""
+    ray = extinction_walk.ray
     assert ray.medium is not None
     mei = MediumInteraction3f.on(ray, Float(0))
     sigma_t = scene.media.extinction(ray.medium, mei, active)
-    return sigma_t * (detour.shade * (detour.total * radiance))
+    return sigma_t * (extinction_walk.shade * (extinction_walk.total * radiance))

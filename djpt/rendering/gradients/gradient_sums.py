@@ -26,7 +26,7 @@ from djpt.films.splats import ChangeSplats
 from djpt.jit.types import Bool, Color3f, Point2f, UInt32
 from djpt.rendering.gradients.zero_weights import TINY
 
-__all__ = ["Carried", "Forward", "Found", "Joined", "Joint", "Measure", "Reverse", "Tally", "added"]
+__all__ = ["Carried", "Forward", "Found", "GradientSums", "Joined", "Joint", "Measure", "Reverse", "added"]
 
 
 @dataclass
@@ -76,7 +76,7 @@ class Found:
     """The same with this vertex."""
 
     @property
-    def aside(self) -> Color3f:
+    def zero_weight(self) -> Color3f:
         """What was set aside before, or 1."""
         return Color3f(1) if self.before is None else self.before
 
@@ -110,19 +110,19 @@ class Joint:
     """The number of the vertex."""
 
     @property
-    def aside(self) -> Color3f:
+    def zero_weight(self) -> Color3f:
         """What both paths have set aside."""
         return Color3f(1) if self.here is None or self.there is None else self.here * self.there
 
 
-class Tally:
+class GradientSums:
     """The part of a walk that differs between the modes."""
 
     label: ClassVar[str]
     again: ClassVar[bool] = False
     """Whether the walk is the second one."""
 
-    def begin(self, throughput: Color3f, aside: Color3f | None, carried: Carried) -> Carried:
+    def begin(self, throughput: Color3f, zero_weight: Color3f | None, carried: Carried) -> Carried:
         """What is carried to the first vertex of a path that begins with an attached throughput."""
         return carried
 
@@ -143,7 +143,7 @@ class Tally:
 
 
 @dataclass
-class Measure(Tally):
+class Measure(GradientSums):
     """Add up the light times the adjoint of its pixel."""
 
     label = "measured"
@@ -154,13 +154,13 @@ class Measure(Tally):
 
     def visit(self, carried: Carried, found: Found) -> tuple[Carried, Color3f, Color3f]:
         light, joined = found.adjoint * dr.detach(found.light), found.joined
-        total = carried.light + found.aside * light + joined.light
+        total = carried.light + found.zero_weight * light + joined.light
         behind = added(added(carried.behind, found.before, light), None, joined.behind)
         return Carried(total, behind), Color3f(0), Color3f(0)
 
     def connect(self, joined: Joined, joint: Joint) -> Joined:
         light = joint.adjoint * dr.detach(joint.light)
-        whole = joint.aside * light
+        whole = joint.zero_weight * light
         joint.beside.write(joint.beside.read(joint.i) + whole, joint.i)
         if joint.here is None or joint.there is None:
             return replace(joined, light=joined.light + whole)
@@ -177,15 +177,15 @@ class Reverse(Measure):
     label = "replay backward"
     again = True
 
-    def begin(self, throughput: Color3f, aside: Color3f | None, carried: Carried) -> Carried:
+    def begin(self, throughput: Color3f, zero_weight: Color3f | None, carried: Carried) -> Carried:
         light = carried.light
-        if aside is not None and carried.behind is not None:
-            light = where(Color3f(1), aside, carried.behind, light)
+        if zero_weight is not None and carried.behind is not None:
+            light = where(Color3f(1), zero_weight, carried.behind, light)
         propagate(relative(throughput), light)
         return carried
 
     def visit(self, carried: Carried, found: Found) -> tuple[Carried, Color3f, Color3f]:
-        adjoint = found.aside * found.adjoint
+        adjoint = found.zero_weight * found.adjoint
         left = carried.light - adjoint * dr.detach(found.light) - found.joined.light
         onward = dr.select(found.active, found.chosen(carried.behind, left), 0)
         propagate(
@@ -196,30 +196,30 @@ class Reverse(Measure):
         return replace(carried, light=left), Color3f(0), Color3f(0)
 
     def connect(self, joined: Joined, joint: Joint) -> Joined:
-        adjoint = joint.aside * joint.adjoint
+        adjoint = joint.zero_weight * joint.adjoint
         propagate(joint.light, adjoint)
         return replace(joined, light=joined.light + adjoint * dr.detach(joint.light))
 
 
 @dataclass
-class Forward(Tally):
+class Forward(GradientSums):
     """Carry the relative change of a path's throughput, and add the changes of light."""
 
     label = "replay forward"
     changes: ChangeSplats
 
-    def begin(self, throughput: Color3f, aside: Color3f | None, carried: Carried) -> Carried:
+    def begin(self, throughput: Color3f, zero_weight: Color3f | None, carried: Carried) -> Carried:
         (change,) = changes(relative(throughput))
         return replace(carried, light=carried.light + change)
 
     def visit(self, carried: Carried, found: Found) -> tuple[Carried, Color3f, Color3f]:
         of_light, arriving, leaving = changes(found.light, relative(found.arrived), found.leaving)
         before = carried.light
-        here = before + found.aside * arriving
+        here = before + found.zero_weight * arriving
         joined = found.joined
-        change = found.aside * of_light + dr.detach(found.light) * before + joined.light * here + joined.change
+        change = found.zero_weight * of_light + dr.detach(found.light) * before + joined.light * here + joined.change
         new = None if found.after is None else found.after * before + leaving
-        onward = found.chosen(new, before + found.aside * leaving)
+        onward = found.chosen(new, before + found.zero_weight * leaving)
         return replace(carried, light=dr.select(found.active, onward, 0)), here, change
 
     def connect(self, joined: Joined, joint: Joint) -> Joined:
@@ -227,7 +227,7 @@ class Forward(Tally):
         light, kept = dr.detach(joint.light), joint.beside.read(joint.i)
         of_other = light * kept if joint.here is None else joint.here * light * kept
         light = light if joint.there is None else light * joint.there
-        return replace(joined, light=joined.light + light, change=joined.change + joint.aside * change + of_other)
+        return replace(joined, light=joined.light + light, change=joined.change + joint.zero_weight * change + of_other)
 
     def shown(self, position: Point2f, change: Color3f, active: Bool) -> None:
         self.changes.add(position, change, active)
@@ -242,11 +242,11 @@ def where(before: Color3f, after: Color3f, new: Color3f, old: Color3f) -> Color3
     return Color3f(*(dr.select(b != a, n, o) for b, a, n, o in channels))
 
 
-def added(behind: Color3f | None, aside: Color3f | None, light: Color3f | None) -> Color3f | None:
-    """The light behind what is set `aside` with some more, or with all of it if there is no `aside`; None stays."""
+def added(behind: Color3f | None, zero_weight: Color3f | None, light: Color3f | None) -> Color3f | None:
+    """The light behind the `zero_weight` with some more, or with all of it without a `zero_weight`; None stays."""
     if behind is None or light is None:
         return behind
-    return behind + (light if aside is None else where(Color3f(1), aside, light, Color3f(0)))
+    return behind + (light if zero_weight is None else where(Color3f(1), zero_weight, light, Color3f(0)))
 
 
 def relative(throughput: Color3f, least: Color3f | None = None) -> Color3f:

@@ -14,15 +14,15 @@ import drjit as dr
 
 from djpt.core.records import Ray3f
 from djpt.integrators.base import PathIntegrator
-from djpt.integrators.paths.trace_path import walk
+from djpt.integrators.paths.trace_path import trace_path
 from djpt.integrators.volpath import VolumetricPathState
 from djpt.jit.kernels import loop_traced_once, wide
 from djpt.jit.types import Bool, Color3f, Point3f, UInt32, Vector3f
 from djpt.rendering.gradients.extinction_walk import (
-    Detour,
+    ExtinctionWalk,
     attached_extinction,
-    detour_past,
-    no_detour,
+    next_extinction_walk,
+    no_extinction_walk,
     observed,
     scattered,
     turned_off,
@@ -74,7 +74,7 @@ class ReplayLoop:
     delta: Color3f
     """Reverse mode: derivative of the loss with respect to the sample. Forward mode: derivative of the sample."""
     active: Bool
-    detour: Detour | None
+    extinction_walk: ExtinctionWalk | None
     """Where a third walk is to begin; None if no extinction of tracked media has derivatives."""
 
 
@@ -83,7 +83,7 @@ def measured(
 ) -> Measured:
     """Follow one path per lane to its end, and return what `replayed` needs to know of it.
 
-    Unlike the paths of `djpt.integrators.paths.trace_path.walk` these go on behind black surfaces, where there are
+    Unlike the paths of `trace_path` these go on behind black surfaces, where there are
     derivatives.
     """
     lanes = dr.width(ray, sampler)
@@ -104,7 +104,7 @@ def measured(
         with dr.resume_grad():
             v = integrator.advance(scene, lane.sampler, lane.state, way, si)
             here = dr.detach(v.emitted + integrator.transmittance(scene, lane.sampler, v))
-        gained, behind = collected(lane.state.aside, lane.found.behind, here)
+        gained, behind = collected(lane.state.zero_weight, lane.found.behind, here)
         onward, state, found = dr.detach(v.ray), dr.detach(v.state), Measured(lane.found.radiance + gained, behind)
         return (FirstLoop(onward.o, onward.d, onward.medium, lane.sampler, state, found, v.active),)
 
@@ -140,10 +140,10 @@ def replayed(
         `delta`, or in forward mode the derivative of the radiance.
     """
     lanes = dr.width(ray, found.radiance)
-    first, detour = begun(integrator.begin(scene, sampler), scene), None
+    first, extinction_walk = begun(integrator.begin(scene, sampler), scene), None
     if attached_extinction(scene):
         first = observed(first)
-        detour = wide(no_detour(ray, first), lanes)
+        extinction_walk = wide(no_extinction_walk(ray, first), lanes)
     start = ReplayLoop(
         o=wide(ray.o, lanes),
         d=wide(ray.d, lanes),
@@ -154,7 +154,7 @@ def replayed(
         behind=wide(found.behind, lanes),
         delta=wide(Color3f(0) if delta is None else delta, lanes),
         active=Bool(active) & dr.full(Bool, True, lanes),
-        detour=detour,
+        extinction_walk=extinction_walk,
     )
 
     def body(lane: ReplayLoop) -> tuple[ReplayLoop]:
@@ -167,22 +167,24 @@ def replayed(
             outgoing, left = outgoing_radiance(v, lane.state, here, left, lane.behind)
             delta = differentiated(mode, outgoing, lane.delta)
         onward, state = dr.detach(v.ray), dr.detach(v.state)
-        past = lane.detour
+        past = lane.extinction_walk
         if past is not None:
             assert isinstance(state, VolumetricPathState) and state.flown is not None
             length = dr.select(si.is_valid(), si.t, way.maxt)
-            past = detour_past(scene, past, lane.state, way, state.flown, length, lane.active)
+            past = next_extinction_walk(scene, past, lane.state, way, state.flown, length, lane.active)
         o, d, medium = onward.o, onward.d, onward.medium
         return (ReplayLoop(o, d, medium, lane.sampler, state, left, lane.behind, delta, v.active, past),)
 
     with dr.suspend_grad():
         (end,) = loop_traced_once(start, lambda lane: lane.active, body, f"{type(integrator).__name__} again")
-        if end.detour is None:
+        if end.extinction_walk is None:
             return end.delta
-        goes = end.detour.total > 0
-        (light,), _ = walk(integrator, scene, end.sampler, end.detour.ray, goes, state=turned_off(end.detour))
+        goes = end.extinction_walk.total > 0
+        (light,), _ = trace_path(
+            integrator, scene, end.sampler, end.extinction_walk.ray, goes, state=turned_off(end.extinction_walk)
+        )
         with dr.resume_grad():
-            there = scattered(scene, end.detour, dr.detach(light), goes)
+            there = scattered(scene, end.extinction_walk, dr.detach(light), goes)
             return differentiated(mode, dr.select(goes, there, 0), end.delta)
 
 

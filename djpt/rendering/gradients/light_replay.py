@@ -12,8 +12,8 @@ from djpt.integrators.base import SMALL
 from djpt.integrators.bidirectional.subpath import with_derivative
 from djpt.jit.kernels import loop_traced_once, wide
 from djpt.jit.types import Bool, Color3f, Point2f, UInt32
-from djpt.rendering.gradients.gradient_sums import Carried, Found, Joined, Tally
-from djpt.rendering.gradients.zero_weights import sets_aside
+from djpt.rendering.gradients.gradient_sums import Carried, Found, GradientSums, Joined
+from djpt.rendering.gradients.zero_weights import has_zero_weights
 from djpt.samplers.base import SampleStream
 from djpt.scene.scene import Scene
 
@@ -34,7 +34,7 @@ class Step:
     """Where the light counts."""
     onward: Color3f
     """The throughput of the path that goes on."""
-    aside: Color3f | None
+    zero_weight: Color3f | None
     """What is set aside of it, or 1; None if nothing is set aside."""
     state: Any
     """The state of the path that goes on."""
@@ -63,7 +63,7 @@ class Joints:
     vertices: Any
     beside: Any
     """A colour for each vertex: see `djpt.rendering.gradients.gradient_sums`."""
-    aside: Any
+    zero_weight: Any
     """What the path has set aside before each vertex, or 1; None if nothing is set aside."""
 
 
@@ -72,7 +72,7 @@ class LightWalk:
     """Loop state. Types are `Any` where Dr.Jit would look for their names in this module."""
 
     state: Any
-    aside: Color3f | None
+    zero_weight: Color3f | None
     sampler: Any
     active: Bool
     carried: Any
@@ -85,7 +85,7 @@ class LightWalk:
 
 def vanishes(scene: Scene) -> bool:
     """Whether AD leaves may make factors of light paths vanish: see `djpt.rendering.gradients.zero_weights`."""
-    return sets_aside(scene) or bool(scene.lights.ensemble.vanishing(scene.lookup))
+    return has_zero_weights(scene) or bool(scene.lights.ensemble.vanishing(scene.lookup))
 
 
 def nothing(scene: Scene, lanes: int) -> Carried:
@@ -106,7 +106,7 @@ def begun(scene: Scene, throughput: Color3f, share: Color3f) -> tuple[Color3f, C
 
 def walk_light_paths(
     paths: LightPaths,
-    tally: Tally,
+    gradient_sums: GradientSums,
     sampler: SampleStream,
     lanes: int,
     carried: Carried,
@@ -117,7 +117,7 @@ def walk_light_paths(
 
     Args:
         paths: The estimator's.
-        tally: The mode.
+        gradient_sums: The mode.
         sampler: The random numbers; of a second walk those of the first.
         lanes: Their number.
         carried: What paths begin with.
@@ -125,11 +125,11 @@ def walk_light_paths(
         joints: Room for vertices; on a second walk, what the first one and connections have left there.
     """
     with dr.resume_grad():
-        state, throughput, aside = paths.begin(sampler)
-        carried = tally.begin(throughput, aside, carried)
+        state, throughput, zero_weight = paths.begin(sampler)
+        carried = gradient_sums.begin(throughput, zero_weight, carried)
     start = LightWalk(
         state=wide(dr.detach(state), lanes),
-        aside=wide(aside, lanes),
+        zero_weight=wide(zero_weight, lanes),
         sampler=sampler,
         active=dr.full(Bool, begins, lanes),
         carried=wide(dr.detach(carried), lanes),
@@ -142,30 +142,30 @@ def walk_light_paths(
         with dr.resume_grad():
             step = paths.step(lane.state, lane.sampler, lane.active)
             others = Color3f(0)
-            if joints is not None and tally.again:
+            if joints is not None and gradient_sums.again:
                 others = dr.select(step.joins, joints.beside.read(lane.count, step.joins), 0)
             shows = step.shows & in_window(step.position)
             found = Found(
                 light=step.light,
-                adjoint=tally.adjoint(step.position, shows),
+                adjoint=gradient_sums.adjoint(step.position, shows),
                 arrived=step.arrived,
                 joined=Joined(others, None, None, Color3f(0)),
                 onward=step.onward,
                 active=step.active,
-                before=lane.aside,
-                after=step.aside,
+                before=lane.zero_weight,
+                after=step.zero_weight,
             )
-            lane.carried, here, change = tally.visit(lane.carried, found)
-        tally.shown(step.position, change, shows)
+            lane.carried, here, change = gradient_sums.visit(lane.carried, found)
+        gradient_sums.shown(step.position, change, shows)
         if joints is not None:
-            if not tally.again:
+            if not gradient_sums.again:
                 joints.vertices.write(step.vertex, lane.count, step.joins)
                 joints.beside.write(here, lane.count, step.joins)
-                if joints.aside is not None:
-                    joints.aside.write(lane.aside, lane.count, step.joins)
+                if joints.zero_weight is not None:
+                    joints.zero_weight.write(lane.zero_weight, lane.count, step.joins)
             lane.count = dr.select(step.joins, lane.count + 1, lane.count)
-        lane.state, lane.aside, lane.active = dr.detach(step.state), step.aside, step.active
+        lane.state, lane.zero_weight, lane.active = dr.detach(step.state), step.zero_weight, step.active
         return (lane,)
 
-    (end,) = loop_traced_once(start, lambda lane: lane.active, body, f"light path, {tally.label}")
+    (end,) = loop_traced_once(start, lambda lane: lane.active, body, f"light path, {gradient_sums.label}")
     return end

@@ -115,7 +115,7 @@ def run(job: Job, values: Detached, numbering: Numbering, lanes: TiledLanes, mod
         free = lane.free | dr.select(arrived, bit(lane.path.depth - 1), 0)
 
         reflected = dr.detach(reflected)
-        pending, pending_behind = collected(lane.path.aside, blank(attached, 1), reflected)
+        pending, pending_behind = collected(lane.path.zero_weight, blank(attached, 1), reflected)
         lit = ~shadow & ~lane.again & shines
         active = dr.select(shadow, lane.active, v.active)
         next_ray = dr.select(shadow, lane.next_ray, vertex_ray)

@@ -81,7 +81,7 @@ class Mode:
         with dr.resume_grad():
             here = v.emitted + arrived
             passed = dr.detach(here)
-            gained, behind = collected(walk.path.aside, walk.behind, passed)
+            gained, behind = collected(walk.path.zero_weight, walk.behind, passed)
             radiance = dr.select(walk.again, walk.radiance - passed, walk.radiance + gained)
             outgoing, to_come = outgoing_radiance(v, walk.path, here, radiance, walk.behind)
             if behind is not None:

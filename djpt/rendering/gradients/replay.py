@@ -24,7 +24,7 @@ from djpt.dispatch.ensemble import Detached
 from djpt.integrators.base import PathIntegrator, PathState
 from djpt.jit.kernels import wide
 from djpt.jit.types import Bool, Color3f, Float, UInt32
-from djpt.rendering.gradients.hit_cache import Notes, blank_notes
+from djpt.rendering.gradients.hit_cache import HitCache, empty_hit_cache
 from djpt.rendering.gradients.leaves import Numbering
 from djpt.rendering.gradients.modes import Mode
 from djpt.rendering.gradients.zero_weights import begun, blank
@@ -49,7 +49,7 @@ class Lane:
     again: Bool
     """True on the second walk."""
     number: UInt32 | None
-    """The number of the vertex on its walk; None if nothing is noted of vertices."""
+    """The number of the vertex on its walk; None if no hits are cached."""
     k: UInt32
     slot: UInt32
     delta: Color3f
@@ -69,7 +69,7 @@ def run(
     x, y = job.coordinates(lanes.pixel)
     sampler, ray, _ = job.begin(lanes.pixel, lanes.first, x, y)
     _, attached = mode.view(scene, values, numbering)
-    notes = blank_notes(integrator, scene, count)
+    cache = empty_hit_cache(integrator, scene, count)
     start = Lane(
         ray=wide(ray, count),
         sampler=sampler,
@@ -77,19 +77,19 @@ def run(
         radiance=dr.zeros(Color3f, count),
         behind=blank(attached, count),
         again=dr.full(Bool, False, count),
-        number=dr.zeros(UInt32, count) if notes else None,
+        number=dr.zeros(UInt32, count) if cache else None,
         k=wide(lanes.first, count),
         slot=wide(slots, count),
         delta=wide(mode.delta_of(slots, Bool(True)), count),
         sums=mode.start(),
     )
 
-    def body(lane: Lane, *notes: Notes) -> Lane:
+    def body(lane: Lane, *cache: HitCache) -> Lane:
         leaves, view = mode.view(scene, values, numbering)
         queried, lit = scene, view
         if lane.number is not None:
-            page = notes[0].for_vertex(lane.number, lane.again)
-            queried, lit = page.in_scene(scene), page.in_scene(view)
+            entry = cache[0].for_vertex(lane.number, lane.again)
+            queried, lit = entry.in_scene(scene), entry.in_scene(view)
         si = integrator.trace(queried, lane.path, lane.ray)
         si.scene = view
         with dr.resume_grad():
@@ -119,5 +119,5 @@ def run(
             sums=sums,
         )
 
-    end = run_free(start, lambda lane: lane.k < lanes.end, body, count, mode.label, *notes)
+    end = run_free(start, lambda lane: lane.k < lanes.end, body, count, mode.label, *cache)
     return end.sums, end.k

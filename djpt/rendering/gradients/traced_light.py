@@ -33,8 +33,8 @@ class TracedLight:
     def begin(self, sampler: SampleStream) -> tuple[Any, Color3f, Color3f | None]:
         """See `LightPaths`."""
         path = self._integrator.start(self._scene, sampler)
-        flux, aside = begun(self._scene, path.flux, path.flux * path.unit)
-        return replace(path, flux=flux, aside=aside), flux, aside
+        flux, zero_weight = begun(self._scene, path.flux, path.flux * path.unit)
+        return replace(path, flux=flux, zero_weight=zero_weight), flux, zero_weight
 
     def step(self, state: Any, sampler: SampleStream, active: Bool) -> Step:
         """See `LightPaths`."""
@@ -51,6 +51,6 @@ class TracedLight:
             onward=v.path.flux,
             state=v.path,
             active=v.active,
-            aside=v.path.aside,
+            zero_weight=v.path.zero_weight,
             joins=Bool(False),
         )

@@ -105,7 +105,7 @@ def bends_normals(bsdf: Any) -> bool:
     )
 
 
-def textured_lamps(rendering: Rendering) -> Iterator[str]:
+def textured_lights(rendering: Rendering) -> Iterator[str]:
     """Moving shapes with an area light whose radiance varies."""
     for shape in rendering.moving:
         radiance = getattr(shape.emitter(), "radiance", None)
@@ -132,19 +132,19 @@ def intersections(rendering: Rendering) -> Iterator[str]:
 
 
 def shadows_on_moving(rendering: Rendering) -> Iterator[str]:
-    """Shapes that stay between one that moves and a lamp with an extent."""
+    """Shapes that stay between one that moves and a light with an extent."""
     moving = {id(shape) for shape in rendering.moving}
-    lamps = [e.get_shape() for e in rendering.emitters(EmitterFlags.Surface) if e.get_shape() is not None]
+    lights = [e.get_shape() for e in rendering.emitters(EmitterFlags.Surface) if e.get_shape() is not None]
     for shape in rendering.moving:
-        for lamp in lamps:
+        for light in lights:
             for other in rendering.seen:
-                if lamp is shape or other is lamp or id(other) in moving:
+                if light is shape or other is light or id(other) in moving:
                     continue
-                if between(other, box_of(shape), box_of(lamp)):
-                    yield f"'{other.id()}' may throw a shadow of the lamp '{lamp.id()}' on '{shape.id()}'"
+                if between(other, box_of(shape), box_of(light)):
+                    yield f"'{other.id()}' may throw a shadow of the lamp '{light.id()}' on '{shape.id()}'"
 
 
-def hidden_lamps(rendering: Rendering) -> Iterator[str]:
+def hidden_lights(rendering: Rendering) -> Iterator[str]:
     """An integrator that hides emitters of the scene."""
     if rendering.integrator.hide_emitters:
         for flags in (EmitterFlags.Surface, EmitterFlags.Infinite):
@@ -169,7 +169,7 @@ CASES: tuple[Case, ...] = (
         "`hide_emitters`",
         "the outlines of lamps count although they can't be seen",
         "show the emitters, or move lamps out of the picture",
-        hidden_lamps,
+        hidden_lights,
     ),
     Case(
         "smooth plastic",
@@ -205,7 +205,7 @@ CASES: tuple[Case, ...] = (
         "a textured area light that moves",
         "the texture stays behind where light is sampled",
         "give the light a radiance that doesn't vary",
-        textured_lamps,
+        textured_lights,
     ),
     Case(
         "a `point`, `spot`, `directional`, `projector` or `directionalarea` light, unless one convex shape is all",

@@ -296,7 +296,7 @@ class EvenAccumulation(Accumulation):
     luminance: Doubles
     """Sums over the even rounds, and over the odd ones, of the image's luminance, (2, height, width).
 
-    A smaller round counts by its share of the samples of a whole one.
+    A smaller round counts by its fraction of the samples of a whole one.
     """
     squares: Doubles
     """The sum over all rounds of the squared luminance, by the same shares, (height, width)."""

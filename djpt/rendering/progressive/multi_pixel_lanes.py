@@ -27,7 +27,7 @@ from djpt.rendering.schedules.passes import filtered_rows
 from djpt.rendering.schedules.sinks import CalledFilmSums, Finished
 from djpt.samplers import SampleStream
 
-__all__ = ["StreakJob", "rows_by_streaks", "streak"]
+__all__ = ["MultiPixelJob", "multi_pixel_rows", "pixels_per_lane"]
 
 LONGEST = 8
 """The most pixels of a lane."""
@@ -36,7 +36,7 @@ LANES = 2**13
 """The lanes that each thread has at least."""
 
 
-def streak(job: Job, schedule: Schedule) -> int:
+def pixels_per_lane(job: Job, schedule: Schedule) -> int:
     """The number of pixels that a lane computes; 1 if lanes can't have several.
 
     Without a filter sums stay in registers, and lanes at their pixels: sums in memory would take longer. Ask before
@@ -56,20 +56,22 @@ def streak(job: Job, schedule: Schedule) -> int:
 
 
 @dataclass
-class StreakJob(Job):
-    """A job whose samples are numbered over the pixels of a lane: in one column, `height` / `streak` rows apart."""
+class MultiPixelJob(Job):
+    """A job whose samples are numbered over the pixels of a lane: `height / pixels_per_lane` rows apart."""
 
-    streak: int = field(kw_only=True)
+    pixels_per_lane: int = field(kw_only=True)
     """The pixels of a lane."""
 
     @staticmethod
-    def of(job: Job, streak: int) -> StreakJob:
+    def of(job: Job, pixels_per_lane: int) -> MultiPixelJob:
         """A job with lanes of so many pixels."""
-        return StreakJob(**{f.name: getattr(job, f.name) for f in fields(Job) if f.init}, streak=streak)
+        return MultiPixelJob(
+            **{f.name: getattr(job, f.name) for f in fields(Job) if f.init}, pixels_per_lane=pixels_per_lane
+        )
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        rows = self.height // self.streak
+        rows = self.height // self.pixels_per_lane
         self.step = dr.opaque(UInt32, rows * self.width)
         self._rows, self._share = dr.opaque(Float, rows), dr.opaque(Float, 1 / self.spp)
 
@@ -87,10 +89,10 @@ class StreakJob(Job):
         return dr.fma(turn, self._rows, y)
 
 
-class StreakSums(CalledFilmSums):
+class MultiPixelSums(CalledFilmSums):
     """Adds the samples of lanes to the sums of their pixels."""
 
-    def __init__(self, job: StreakJob, pixel: UInt32, sums: CalledSums, steps: int) -> None:
+    def __init__(self, job: MultiPixelJob, pixel: UInt32, sums: CalledSums, steps: int) -> None:
         x, y = job.coordinates(pixel)
         super().__init__(job.on_film(x, y), sums, steps)
         self._job, self._pixel, self._x, self._y = job, pixel, x, y
@@ -104,22 +106,22 @@ class StreakSums(CalledFilmSums):
         return [state[0] + dr.select(taken, UInt32(1), 0)]
 
 
-def rows_by_streaks(job: StreakJob) -> Iterator[Summed]:
+def multi_pixel_rows(job: MultiPixelJob) -> Iterator[Summed]:
     """The sums of a job's image in one band: see `djpt.rendering.schedules.base.Schedule.rows`."""
-    return filtered_rows(job, streak_sums, spread=spread_called)
+    return filtered_rows(job, multi_pixel_sums, spread=spread_called)
 
 
-def streak_sums(job: Job, band: Band, begin: int, end: int, memory: list[Float] | None) -> list[Float]:
+def multi_pixel_sums(job: Job, band: Band, begin: int, end: int, memory: list[Float] | None) -> list[Float]:
     """The film's sums of all samples of a job."""
-    assert isinstance(job, StreakJob)
+    assert isinstance(job, MultiPixelJob)
     pixels = job.width * job.height
     taps = Taps(job.film.taps, job.channel_count())
-    pixel = dr.arange(UInt32, pixels // job.streak)
-    lanes = Lanes(pixel, dr.opaque(UInt32, 0), dr.opaque(UInt32, job.streak * job.spp), dr.opaque(UInt32, 1))
+    pixel = dr.arange(UInt32, pixels // job.pixels_per_lane)
+    lanes = Lanes(pixel, dr.opaque(UInt32, 0), dr.opaque(UInt32, job.pixels_per_lane * job.spp), dr.opaque(UInt32, 1))
     sums = CalledSums(taps, job.film.rfilter(), pixels)
     # See `djpt.rendering.schedules.flat.called_film_sums`.
     steps = 2 if job.scene.geometry.triangles is None else 1
-    count = run(job, lanes, StreakSums(job, pixel, sums, steps))
+    count = run(job, lanes, MultiPixelSums(job, pixel, sums, steps))
     with small_blocks():
         dr.eval(count)
     return [sums.memory]

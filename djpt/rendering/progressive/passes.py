@@ -243,7 +243,7 @@ class RoundImage(ABC):
         return min(whole, limit - number * whole) if limit else whole
 
     def tell(self, found: Accumulation, number: int | None) -> None:
-        """Tell the signals what share of all samples has been taken, and what share of them a round will be."""
+        """Tell the signals what fraction of all samples has been taken, and what fraction of them a round will be."""
         interruption, limit = self.settings.interruption, self.goal.spp
         if interruption is not None:
             share = found.spp / limit if limit else None

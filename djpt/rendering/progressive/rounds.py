@@ -26,7 +26,7 @@ from djpt.rendering.gradients.leaves import attached_parameters
 from djpt.rendering.gradients.own_rendering import image_by_itself
 from djpt.rendering.image import centres, make_job, require_still
 from djpt.rendering.progressive.accumulation import Floats, RoundSums
-from djpt.rendering.progressive.multi_pixel_lanes import StreakJob, rows_by_streaks, streak
+from djpt.rendering.progressive.multi_pixel_lanes import MultiPixelJob, multi_pixel_rows, pixels_per_lane
 from djpt.rendering.schedules.canvas import Summed
 from djpt.rendering.schedules.choice import choose
 from djpt.rendering.schedules.job import Job
@@ -70,7 +70,7 @@ class Rounds:
         self._job: Job | None = None
         """The job of a round that was computed in one band."""
         self._constant: Floats | None = None
-        self._streak = 1
+        self._pixels_per_lane = 1
         """The pixels of a lane of the recorded kernels."""
         self._inputs: list[Any] = []
         """The arrays that they read."""
@@ -105,7 +105,7 @@ class Rounds:
                 return waiting_for_image(how.image(job), spp, constant)
             summed = list(how.rows(job)) if job.channel_names() else []
         if len(summed) == 1 and how.can_be_recorded and can_be_recorded(job) and spp == self.spp:
-            self._job, self._streak = job, streak(job, how)
+            self._job, self._pixels_per_lane = job, pixels_per_lane(job, how)
             self._inputs = inputs(scene, settings.sensor, settings.integrator)
 
         results = Results()
@@ -141,8 +141,8 @@ class Rounds:
         settings = self._of_round(seed, self.spp)
         job = replace(make_job(self._scene, settings), repeated=True)
         with dr.suspend_grad():
-            if self._streak > 1:
-                ((rows, _),) = rows_by_streaks(StreakJob.of(job, self._streak))
+            if self._pixels_per_lane > 1:
+                ((rows, _),) = multi_pixel_rows(MultiPixelJob.of(job, self._pixels_per_lane))
             else:
                 ((rows, _),) = choose(settings.schedule, job).rows(job)
         return rows.sums

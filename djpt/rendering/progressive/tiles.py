@@ -235,7 +235,7 @@ def shares(tiles: Tiles, taken: Counts, variances: Doubles, places: int) -> Coun
     """How often a round of a half samples each tile.
 
     The mean squared error of the image, the sum of variance / count over the tiles, is least for counts in proportion
-    to the standard deviations: tiles are sampled that have less than this share.
+    to the standard deviations: tiles are sampled that have less than this fraction.
 
     Args:
         tiles: Those of the image.

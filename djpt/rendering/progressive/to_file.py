@@ -81,7 +81,7 @@ def render_to_file(
             array that it returns is written in place of a part: with tone mapping, say, or with fewer channels.
         convert_at_once: Whether `convert` is called once, with the whole image, which is in memory then.
         keep_partial: Whether the file is written if a signal ends the render. Where the sums of all pixels fit into
-            the memory, all pixels have the same share of their samples then; otherwise the rows that are finished
+            the memory, all pixels have the same fraction of their samples then; otherwise the rows that are finished
             have all of theirs, and the rest is black. The ``spp`` of the metadata is the mean number per pixel.
 
     Raises:

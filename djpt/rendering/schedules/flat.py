@@ -78,8 +78,7 @@ class Flat(Schedule):
     def replay(
         self, job: Job, values: Detached, numbering: Numbering, band: Band, begin: int, end: int, mode_of: ModeOf
     ) -> tuple[Mode, list[Float], UInt32]:
-        from djpt.rendering.gradients import extinction_walk as detours
-        from djpt.rendering.gradients import replay
+        from djpt.rendering.gradients import extinction_walk, replay
 
         lanes = (interleaved if self.carries_sums(job) else layered)(job, band, begin, end)
         count = dr.width(lanes.pixel)
@@ -87,7 +86,7 @@ class Flat(Schedule):
         # The opaque zero is needed: Dr.Jit turns a gather of all entries in order into a plain load, which
         # would give images of one sample per pixel a kernel of their own.
         slots = dr.arange(UInt32, count) + dr.opaque(UInt32, 0)
-        run = detours.run if detours.needed(job.scene, numbering) else replay.run
+        run = extinction_walk.run if extinction_walk.needed(job.scene, numbering) else replay.run
         return mode, *run(job, values, numbering, lanes, slots, dr.opaque(UInt32, count), mode)
 
 

@@ -25,25 +25,25 @@ from djpt.samplers.independent import Independent
 
 __all__ = ["Learning"]
 
-LESSON = 5
-"""The number of the seed of lessons, among those that are derived from an image's."""
+TRAINING_SEED = 5
+"""The number of the seed of training paths, among those that are derived from an image's."""
 
 GOLDEN = 2654435769
 """2^32 over the golden ratio: its multiples, modulo 2^32, are spread evenly."""
 
 
 class Learning(Schedule):
-    """Runs a `LearningIntegrator`: what it has been taught is rendered by another schedule."""
+    """Runs a `LearningIntegrator`: the trained integrator is rendered by another schedule."""
 
     name = "learning"
     can_be_recorded = False  # what is learned are results of kernels
 
     def rows(self, job: Job) -> Iterator[Summed]:
-        job = taught(job)
+        job = trained(job)
         return choose("auto", job).rows(job)
 
 
-def taught(job: Job) -> Job:
+def trained(job: Job) -> Job:
     """The job with an integrator that has learned."""
     integrator = job.integrator
     assert isinstance(integrator, LearningIntegrator)
@@ -52,21 +52,21 @@ def taught(job: Job) -> Job:
             f"{integrator.id()}: a frozen function can't learn about a scene, since that needs the results of kernels; "
             "render it outside of the function, or with 'path'"
         )
-    return replace(job, integrator=integrator.taught(JobLessons(job)))
+    return replace(job, integrator=integrator.trained(JobTrainingPaths(job)))
 
 
-class JobLessons:
-    """A job as a `LearningIntegrator` sees it: see `djpt.integrators.guiding.learning.Lessons`."""
+class JobTrainingPaths:
+    """A job as a `LearningIntegrator` sees it: see `djpt.integrators.guiding.learning.TrainingPaths`."""
 
     def __init__(self, job: Job) -> None:
         self._job = job
         self._sampler = Independent(Properties("independent", "sampler", {}))
-        self._seed = sample_tea_32(job.seed_value, UInt32(LESSON))[0]
+        self._seed = sample_tea_32(job.seed_value, UInt32(TRAINING_SEED))[0]
         dr.eval(self._seed)
         self.scene, self.samples = job.scene, job.samples
 
     def begin(self, first: int, end: int) -> tuple[SampleStream, Ray3f]:
-        """Random numbers and camera rays, see `djpt.integrators.guiding.learning.Lessons`."""
+        """Random numbers and camera rays, see `djpt.integrators.guiding.learning.TrainingPaths`."""
         job = self._job
         number = dr.arange(UInt32, end - first) + dr.opaque(UInt32, first)
         pixel: Any = dr.mul_hi(number * GOLDEN, dr.opaque(UInt32, job.width * job.height))

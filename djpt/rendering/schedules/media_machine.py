@@ -21,7 +21,7 @@ import drjit as dr
 
 from djpt.core.records import BSDFFlags, PreliminaryIntersection3f, Ray3f, SurfaceInteraction3f, has_flag
 from djpt.integrators.base import PathState
-from djpt.integrators.paths.transmittance import Aim, passable_surfaces
+from djpt.integrators.paths.transmittance import Aim, null_surfaces
 from djpt.integrators.volpath import VolumetricPath, VolumetricPathState
 from djpt.jit.kernels import if_stmt, while_loop, wide
 from djpt.jit.types import Bool, Color3f, Float, UInt32
@@ -108,7 +108,7 @@ class Walk:
         self._job, self._lanes, self._write = job, lanes, write
         self._scene, self._integrator = job.scene, job.integrator
         self._trackers = Trackers(job.scene.media)
-        self._surfaces = passable_surfaces(job.scene)
+        self._surfaces = null_surfaces(job.scene)
 
     def run(self) -> UInt32:
         """Advance all lanes until their samples are written; returns a number to evaluate."""

@@ -11,18 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.core.transforms import ScalarTransform4f
-from djpt.description.frame_change import Rooted
+from djpt.description.frame_change import NotMovable
 from djpt.description.plugin import Plugin
 from djpt.scene.normalization.frame import WorkingFrame
 from djpt.scene.normalization.rescaled import rescaled
 
-__all__ = ["Carrier"]
+__all__ = ["PluginCopies"]
 
 OWN = ("shape", "emitter", "sensor")
 """Kinds of plugins that a scene tells how large it is: they can't be shared with a scene in another frame."""
 
 
-class Carrier:
+class PluginCopies:
     """The `djpt.description.frame_change.Frame` that plugins move into: it makes one copy of each.
 
     A copy in which nothing has changed is dropped, and the plugin shared by both scenes.
@@ -60,11 +60,11 @@ class Carrier:
 
     # ---- plugins -------------------------------------------------------------------------
 
-    def carried(self, plugin: Any) -> Any:
+    def copy_of(self, plugin: Any) -> Any:
         """A plugin in the frame: a copy, always the same, or itself if nothing in it differs there.
 
         Raises:
-            Rooted: it can't be moved.
+            NotMovable: it can't be moved.
         """
         if not isinstance(plugin, Plugin):
             return plugin
@@ -74,7 +74,7 @@ class Carrier:
             self._copies[id(plugin)] = plugin, copied
             try:
                 copied.move_into(self)
-            except Rooted:
+            except NotMovable:
                 del self._copies[id(plugin)]
                 raise
             if plugin.kind not in OWN and is_equal(plugin, copied):
@@ -85,11 +85,11 @@ class Carrier:
         """A copy of a plugin that hasn't moved.
 
         Raises:
-            Rooted: its class doesn't say how it moves.
+            NotMovable: its class doesn't say how it moves.
         """
         kind = type(plugin)
         if not ("move_into" in vars(kind) or kind.says("in_any_frame")):
-            raise Rooted(f"{plugin.id()}: '{kind.__name__}' has no move_into of its own and isn't in_any_frame")
+            raise NotMovable(f"{plugin.id()}: '{kind.__name__}' has no move_into of its own and isn't in_any_frame")
         return copy.copy(plugin)
 
     def shares(self, plugin: Plugin) -> bool:
@@ -100,20 +100,20 @@ class Carrier:
         """The copies of those plugins that can be carried."""
         copies = []
         for plugin in plugins:
-            with suppress(Rooted):
-                copies.append(self.carried(plugin))
+            with suppress(NotMovable):
+                copies.append(self.copy_of(plugin))
         return copies
 
     def again(self, sensor: Any) -> Any:
         """A sensor in the frame as it is now, with its film.
 
         Raises:
-            Rooted: it can't be moved.
+            NotMovable: it can't be moved.
         """
         for plugin, _ in list(self._copies.values()):
             if plugin.kind == "sensor" and getattr(plugin, "shape", None) is None:
                 del self._copies[id(plugin)]
-        copied = self.carried(sensor)
+        copied = self.copy_of(sensor)
         copied.take_film(sensor.film())
         return copied
 

@@ -16,7 +16,7 @@ __all__ = ["check_indices", "clean"]
 SMALLEST = 0.5 * float(np.finfo(np.float32).tiny) ** 0.5
 """The least area: the cross product of the edges has a direction in single precision."""
 LEAST_SHARE = 2.0**-48
-"""Of a mesh that is tiny as a whole: the least area as a share of the largest triangle's."""
+"""Of a mesh that is tiny as a whole: the least area as a fraction of the largest triangle's."""
 
 
 def check_indices(indices: NDArray[np.uint32], vertex_count: int, where: str) -> None:

@@ -27,7 +27,7 @@ __all__ = [
 ]
 
 INSET = 1e-4
-"""How far off an edge a surface is looked at, as a share of the shape's extent."""
+"""How far off an edge a surface is looked at, as a fraction of the shape's extent."""
 
 PERIMETER, INTERIOR = int(DiscontinuityFlags.PerimeterType), int(DiscontinuityFlags.InteriorType)
 

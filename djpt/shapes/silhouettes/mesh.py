@@ -127,7 +127,7 @@ class MeshSilhouette(Silhouette):
     def _on_edge(
         self, edge: UInt32, along: Float, a: Point3f, b: Point3f, c: Point3f, d: Vector3f
     ) -> SilhouetteSample3f:
-        """The point at the share `along` of the edge from `a` to `b`; `c` is the third corner."""
+        """The point at the fraction `along` of the edge from `a` to `b`; `c` is the third corner."""
         face = edge // 3
         corner = edge - 3 * face
         p = dr.lerp(a, b, along)

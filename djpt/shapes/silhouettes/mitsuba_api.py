@@ -99,7 +99,7 @@ class SilhouetteQuestions(Plugin):
     def sample_precomputed_silhouette(
         self, viewpoint: Point3f, sample1: UInt32, sample2: Float, active: Bool | bool = True
     ) -> SilhouetteSample3f:
-        """A point of the part `sample1` of the silhouette, at the share `sample2`; `pdf` is per unit length."""
+        """A point of the part `sample1` of the silhouette, at the fraction `sample2`; `pdf` is per unit length."""
         return self._own(self.silhouette().sample_precomputed(viewpoint, sample1, sample2, active))
 
     def differential_motion(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Point3f:

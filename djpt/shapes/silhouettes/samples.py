@@ -66,7 +66,7 @@ class SilhouetteSample3f(PositionSample3f):
     @property
     def shape(self) -> Any:
         """The shape that the point lies on, or none: a `djpt.shapes.pointer.ShapePtr`."""
-        return Pointer.of_kind("shape").holding(index=self.number, home={SCRIPT_PLUGINS.of("shape"): ()})
+        return Pointer.of_kind("shape").holding(index=self.number, scene_ref={SCRIPT_PLUGINS.of("shape"): ()})
 
     @shape.setter
     def shape(self, shape: Any) -> None:

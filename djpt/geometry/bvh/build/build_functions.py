@@ -200,7 +200,7 @@ CORNERS_SIZE = 36
 """Bytes of a triangle's corners."""
 
 DIVIDE = 0.3
-"""A few triangles are split only if that saves such a share of their cost. Too many splits do no harm, see
+"""A few triangles are split only if that saves such a fraction of their cost. Too many splits do no harm, see
 `collapse_functions`, but take time."""
 
 FULL = 1.0

@@ -33,7 +33,7 @@ DEEPEST = 60
 """The most levels of a tree."""
 
 GRAIN, TASKS = 4096, 32
-"""Subtrees of at most so many primitives, or of that share of all, are built by one task."""
+"""Subtrees of at most so many primitives, or of that fraction of all, are built by one task."""
 
 CHUNK = 4096
 """Wide nodes whose references one task writes."""

@@ -10,7 +10,7 @@ from djpt.description.properties import Properties
 from djpt.dispatch.ensemble import Attached
 from djpt.integrators.ad_integrator import RBIntegrator
 from djpt.integrators.base import PathIntegrator
-from djpt.integrators.paths.trace_path import walk
+from djpt.integrators.paths.trace_path import trace_path
 from djpt.integrators.prb import PRB
 from djpt.integrators.prb_basic import PRBBasic
 from djpt.jit.types import Bool, Color3f, Float
@@ -51,7 +51,7 @@ class PathReplay(RBIntegrator, PathIntegrator):
             found = measured(self, scene, sampler, ray, active)
             return found.radiance, Bool(True), [], found
         if mode == dr.ADMode.Primal:
-            (radiance,), valid = walk(self, scene, sampler, ray, active)
+            (radiance,), valid = trace_path(self, scene, sampler, ray, active)
             return radiance, valid, [], radiance
         change = replayed(self, mode, scene, sampler, ray, state_in, δL, active)
         return change, Bool(True), [], state_in

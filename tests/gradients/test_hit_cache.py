@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.rendering.gradients import hit_cache as noted_hits
-from djpt.rendering.gradients import replay
+from djpt.rendering.gradients import hit_cache, replay
 from tests.kit.mesh_scenes import gallery
 from tests.kit.placed_scenes import instances
 
@@ -42,20 +41,20 @@ def test_gradients_with_and_without_notes(kind: str, tmp_path: Path, monkeypatch
         description = instances()
         names = [key for key in djpt.traverse(djpt.load_dict(description)) if key.endswith("reflectance.value")][:2]
     else:
-        monkeypatch.setattr(noted_hits, "NOTED", 2 if kind != "meshes" else noted_hits.NOTED)
+        monkeypatch.setattr(hit_cache, "CACHED_VERTICES", 2 if kind != "meshes" else hit_cache.CACHED_VERTICES)
         description, names = gallery(tmp_path), ["floor.bsdf.reflectance.value", "flat.bsdf.reflectance.value"]
     description["integrator"] = paths(6)
     pages: list[Any] = []
-    for_vertex = noted_hits.Notes.for_vertex
+    for_vertex = hit_cache.HitCache.for_vertex
 
-    def noticed(notes: noted_hits.Notes, *arguments: Any) -> Any:
+    def noticed(cache: hit_cache.HitCache, *arguments: Any) -> Any:
         pages.append(arguments)
-        return for_vertex(notes, *arguments)
+        return for_vertex(cache, *arguments)
 
-    monkeypatch.setattr(noted_hits.Notes, "for_vertex", noticed)
+    monkeypatch.setattr(hit_cache.HitCache, "for_vertex", noticed)
     noted = derivatives(description, names)
     assert bool(pages) == (not djpt.load_dict(description).geometry.stepwise)
-    monkeypatch.setattr(replay, "blank_notes", lambda *arguments: ())
+    monkeypatch.setattr(replay, "empty_hit_cache", lambda *arguments: ())
     for found, expected in zip(noted, derivatives(description, names), strict=True):
         assert np.abs(expected).max() > 0
         np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-5 * np.abs(expected).max())
@@ -67,4 +66,4 @@ def test_media_have_no_notes(tmp_path: Path) -> None:
     description["sensor"]["medium"] = {"type": "ref", "id": "air"}
     scene = djpt.load_dict(description)
     integrator = djpt.load_dict({"type": "volpath", "max_depth": 4})
-    assert noted_hits.blank_notes(integrator, scene.replace(all_media=True), 16) == ()
+    assert hit_cache.empty_hit_cache(integrator, scene.replace(all_media=True), 16) == ()

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.apps.orbit import HeldCamera
+from djpt.apps.orbit import OrbitCamera
 
 
-def camera() -> HeldCamera:
+def camera() -> OrbitCamera:
     look_at = djpt.ScalarTransform4f().look_at(origin=[3, 1, 4], target=[0, 1, 0], up=[0, 1, 0])
-    return HeldCamera.facing(np.array(look_at.matrix), 5)
+    return OrbitCamera.facing(np.array(look_at.matrix), 5)
 
 
 def test_it_turns_about_what_is_ahead() -> None:
@@ -28,7 +28,7 @@ def test_it_turns_about_what_is_ahead() -> None:
 def test_turns_add_up_and_keep_shapes() -> None:
     back = camera().turned(0.4, 0.2).turned(0.3, -0.2).turned(-0.7, 0)
     assert np.allclose(back.to_world, camera().to_world, atol=1e-6)
-    mirrored = HeldCamera.facing(camera().to_world @ np.diag([-1.0, 1, 1, 1]), 5)
+    mirrored = OrbitCamera.facing(camera().to_world @ np.diag([-1.0, 1, 1, 1]), 5)
     assert np.linalg.det(mirrored.turned(1, 1).to_world[:3, :3]) < 0
 
 
@@ -51,7 +51,7 @@ def test_shifts_are_in_the_plane_of_the_picture() -> None:
     assert np.isclose(np.linalg.norm(offset), np.hypot(0.5, 0.25), atol=1e-6)
     assert np.allclose(shifted.target - camera().target, offset)
     # Looking along -z with y up, right is +x.
-    plain = HeldCamera.facing(np.array(djpt.ScalarTransform4f().look_at([0, 0, 4], [0, 0, 0], [0, 1, 0]).matrix), 4)
+    plain = OrbitCamera.facing(np.array(djpt.ScalarTransform4f().look_at([0, 0, 4], [0, 0, 0], [0, 1, 0]).matrix), 4)
     assert plain.shifted(1, 0).to_world[0, 3] > 0.9
 
 
