@@ -7,7 +7,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from djpt.rendering.progressive.accumulation import RoundSums, luminance
+from djpt.rendering.progressive.accumulation import luminance
+from djpt.rendering.progressive.rounds import RoundSums
 
 __all__ = ["Picture"]
 

@@ -7,38 +7,27 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from importlib.metadata import version
-from typing import Any, ClassVar, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
+from djpt.core.color import LUMINANCE
 from djpt.errors import RenderError
 from djpt.jit.types import TensorXf
 from djpt.rendering.progressive import checkpoint
-from djpt.rendering.progressive.fingerprint import Fingerprint, difference
+from djpt.rendering.progressive.fingerprint import Fingerprint, difference, versions
 from djpt.rendering.progressive.tiles import MOST, Counts, Tiles, TileSums, half_of, is_survey, shares, surveys
-from djpt.version import __version__
 
-__all__ = [
-    "Accumulation",
-    "AdaptiveAccumulation",
-    "Doubles",
-    "Error",
-    "EvenAccumulation",
-    "Floats",
-    "RoundSums",
-    "luminance",
-    "versions",
-]
+if TYPE_CHECKING:
+    from djpt.rendering.progressive.rounds import RoundSums
+
+__all__ = ["Accumulation", "AdaptiveAccumulation", "Error", "EvenAccumulation", "luminance"]
 
 Doubles = npt.NDArray[np.float64]
 Floats = npt.NDArray[np.float32]
 
 Same = TypeVar("Same", bound="Accumulation")
-
-RED_GREEN_BLUE = 0.212671, 0.715160, 0.072169
-"""The shares of linear sRGB in the luminance."""
 
 
 class Error(NamedTuple):
@@ -48,11 +37,6 @@ class Error(NamedTuple):
     """The relative RMSE: the root of the mean squared error of the pixels' luminance, divided by the mean luminance."""
     pixels: TensorXf
     """The standard error of the luminance of each pixel, (height, width)."""
-
-
-def versions() -> str:
-    """The versions that the bits of a round depend on."""
-    return f"djpt {__version__}, drjit {version('drjit')}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -273,18 +257,6 @@ class Accumulation:
         return {}
 
 
-@dataclass(frozen=True)
-class RoundSums:
-    """The image of a round before it is divided by its weights."""
-
-    sums: Floats | Doubles
-    """Weighted sums, (channels, height, width)."""
-    weights: Floats
-    """Their weights, (height, width), or (1, 1) if all pixels have the same."""
-    constant: Floats
-    """The channels that come from the centres of pixels, the same in each round: (height, width, channels)."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class EvenAccumulation(Accumulation):
     """The sum of some rounds over all pixels."""
@@ -334,8 +306,6 @@ class EvenAccumulation(Accumulation):
             squares=np.zeros((height, width)),
         )
 
-    # ---- the image ----------------------------------------------------------------------------
-
     def samples(self) -> TensorXf:
         width, height = self.size
         return TensorXf(np.full((height, width), self.spp, np.float32))
@@ -355,8 +325,6 @@ class EvenAccumulation(Accumulation):
 
     def mean_luminance(self) -> float:
         return float(self.luminance.sum(0).mean()) / self.share if self.rounds else 0.0
-
-    # ---- sums ----------------------------------------------------------------------------------
 
     def with_round(self, seed: int, count: int, part: RoundSums) -> EvenAccumulation:
         """This accumulation and one more round, of `count` samples per pixel."""
@@ -378,8 +346,6 @@ class EvenAccumulation(Accumulation):
             luminance=halves,
             squares=self.squares + share * (brightness * brightness),
         )
-
-    # ---- files ----------------------------------------------------------------------------------
 
     def facts(self) -> dict[str, Any]:
         return {"weighted": self.weights.shape == self.squares.shape}
@@ -622,7 +588,7 @@ def luminance(image: npt.NDArray[np.floating], channels: Sequence[str]) -> npt.N
     """The luminance of an image (channels, ..): of R, G, B, or Y; without those the mean of all."""
     places = {name: i for i, name in reversed(list(enumerate(channels[: len(image)])))}
     if all(name in places for name in "RGB"):
-        r, g, b = (image[places[name]] * image.dtype.type(s) for name, s in zip("RGB", RED_GREEN_BLUE, strict=True))
+        r, g, b = (image[places[name]] * image.dtype.type(s) for name, s in zip("RGB", LUMINANCE, strict=True))
         return r + g + b
     if "Y" in places:
         return image[places["Y"]]

@@ -72,7 +72,8 @@ class AdaptiveRounds:
         integrator = settings.integrator
         if type(integrator).render is not Integrator.render or not IN_TILES & {*integrator.schedules}:
             kinds = registered("integrator").items()
-            able = (name for name, kind in kinds if IN_TILES & {*getattr(kind, "schedules", ())})
+            # Named are those that follow paths, for which it is worth while.
+            able = (name for name, kind in kinds if "flat" in getattr(kind, "schedules", ()))
             name = name_of(type(integrator)) or type(integrator).__name__
             raise RenderError(f"the integrator '{name}' can't render adaptively{near_miss('', able)}")
         require_still(scene)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Mapping
+from importlib.metadata import version
 from typing import Any
 
 import drjit as dr
@@ -17,8 +18,9 @@ from djpt.integrators.termination import Terminating
 from djpt.samplers import Sampler
 from djpt.scene.scene import Scene
 from djpt.sensors import Sensor
+from djpt.version import __version__
 
-__all__ = ["Fingerprint", "difference", "fingerprint"]
+__all__ = ["Fingerprint", "difference", "fingerprint", "versions"]
 
 Fingerprint = Mapping[str, str]
 """A hash (64 bits, in hexadecimal digits) for each node of a scene by its name, the sensor and the like."""
@@ -40,6 +42,11 @@ def fingerprint(scene: Scene, sensor: Sensor, integrator: Integrator) -> dict[st
     order = hashlib.blake2b(lights.encode("utf-8", "replace"), digest_size=8)
     nodes = {name: hash_of(node) for name, node in [*parts, ("the integrator", integrator)]}
     return {**nodes, "the order of lights": order.hexdigest()}
+
+
+def versions() -> str:
+    """The versions that the bits of a round depend on."""
+    return f"djpt {__version__}, drjit {version('drjit')}"
 
 
 def difference(a: Fingerprint, b: Fingerprint) -> str:

@@ -18,9 +18,9 @@ from djpt.jit.types import TensorXf
 from djpt.rendering.gradients.leaves import attached_parameters
 from djpt.rendering.image import channel_names
 from djpt.rendering.progress import Progress
-from djpt.rendering.progressive.accumulation import Accumulation, AdaptiveAccumulation, EvenAccumulation, versions
+from djpt.rendering.progressive.accumulation import Accumulation, AdaptiveAccumulation, EvenAccumulation
 from djpt.rendering.progressive.adaptive_rounds import AdaptiveRounds
-from djpt.rendering.progressive.fingerprint import fingerprint
+from djpt.rendering.progressive.fingerprint import fingerprint, versions
 from djpt.rendering.progressive.rounds import Rounds, round_seed
 from djpt.rendering.progressive.tiles import FIRST, is_survey
 from djpt.rendering.settings import RenderSettings, check_count

@@ -10,11 +10,12 @@ pixel has in all, which nobody knows who renders until an error is small or the 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
 import numpy as np
+import numpy.typing as npt
 
 from djpt.integrators.base import Integrator
 from djpt.jit.frozen import Holder, without_garbage
@@ -25,7 +26,6 @@ from djpt.jit.types import Float, UInt32
 from djpt.rendering.gradients.leaves import attached_parameters
 from djpt.rendering.gradients.own_rendering import image_by_itself
 from djpt.rendering.image import centres, make_job, require_still
-from djpt.rendering.progressive.accumulation import Floats, RoundSums
 from djpt.rendering.progressive.multi_pixel_lanes import MultiPixelJob, multi_pixel_rows, pixels_per_lane
 from djpt.rendering.schedules.canvas import Summed
 from djpt.rendering.schedules.choice import choose
@@ -36,7 +36,10 @@ from djpt.rendering.settings import RenderSettings
 from djpt.samplers.seeds import Seed
 from djpt.scene.scene import Scene
 
-__all__ = ["Rounds", "constant_of", "inputs", "round_seed"]
+__all__ = ["RoundSums", "Rounds", "constant_of", "inputs", "round_seed"]
+
+Floats = npt.NDArray[np.float32]
+Doubles = npt.NDArray[np.float64]
 
 RECORDED_SAMPLES = 2**24
 """The samples of the largest rounds whose kernels are recorded: tracing them matters less and less in larger ones."""
@@ -54,6 +57,18 @@ def round_seed(seed: int, number: int) -> int:
     h = (h ^ h >> 16) * 0x85EBCA6B & 0xFFFFFFFF
     h = (h ^ h >> 13) * 0xC2B2AE35 & 0xFFFFFFFF
     return (seed + (h ^ h >> 16)) & 0xFFFFFFFF
+
+
+@dataclass(frozen=True)
+class RoundSums:
+    """The image of a round before it is divided by its weights."""
+
+    sums: Floats | Doubles
+    """Weighted sums, (channels, height, width)."""
+    weights: Floats
+    """Their weights, (height, width), or (1, 1) if all pixels have the same."""
+    constant: Floats
+    """The channels that come from the centres of pixels, the same in each round: (height, width, channels)."""
 
 
 class Rounds:
