@@ -12,7 +12,7 @@ LOADER = "The stages of the C++ scene loader: `djpt.xml.read_file` gives a descr
 MACHINERY = "Machinery between C++ and Python that has nothing to connect here."
 BLOCKS = "Blocks of a picture: `djpt.render_to_file` renders pictures band by band, `djpt.render_passes` in rounds."
 COMMAND_LINES = "Command lines: Python has `argparse`."
-COMPRESSION = "Streams that compress: Python has `zlib` and `gzip`, which take any stream of djpt."
+COMPRESSION = "Streams that compress: Python's `gzip` works through any stream of djpt, and `zlib` packs bytes."
 DEBUGGER = "A stop in a C++ debugger: Python has `breakpoint`."
 PLANAR = "Transforms of the line don't exist in Python: Mitsuba raises a TypeError, too."
 
