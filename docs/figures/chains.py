@@ -15,7 +15,7 @@ class Step:
     """A box: what is called, or None for a result, and what happens there."""
 
     call: str | None
-    """A module and a name in it, ``djpt.scene.scene:Scene.closest_hit``."""
+    """A module and a name in it, ``djpt.scene.queries:SceneQueries.closest_hit``."""
     words: str
     title: str = ""
     """What is written in the place of the call's name."""
@@ -27,16 +27,16 @@ Rows = tuple[tuple[Step | None, ...], ...]
 CLOSEST = "the unrolled shapes, then the tree up to the nearest of them"
 
 RAY_QUERY: Rows = (
-    (Step("djpt.scene.scene:Scene.ray_intersect", "a ray per lane; origins far away are moved near"),),
-    (Step("djpt.scene.scene:Scene.closest_hit", "what integrators need to go on"),),
+    (Step("djpt.scene.mitsuba_api:MitsubaScene.ray_intersect", "a ray per lane; origins far away are moved near"),),
+    (Step("djpt.scene.queries:SceneQueries.closest_hit", "what integrators need to go on"),),
     (Step("djpt.geometry.aggregate:Geometry.closest", CLOSEST),),
     (
         Step("djpt.geometry.unrolled:Unrolled.closest", "straight-line code, no loop; bounds the search"),
         Step("djpt.geometry.query:RayTree.search", "the contract of all trees"),
     ),
     (
-        Step("djpt.geometry.bvh.steps.tree:StepTree.search", "a loop in the kernel"),
-        Step("djpt.geometry.bvh.calls.tree:CompiledTree.search", "one call per packet of lanes"),
+        Step("djpt.geometry.bvh.steps.trees:StepTree.search", "a loop in the kernel"),
+        Step("djpt.geometry.bvh.calls.trees:CompiledTree.search", "one call per packet of lanes"),
     ),
     (
         None,
@@ -44,14 +44,14 @@ RAY_QUERY: Rows = (
     ),
     (
         Step("djpt.core.records:PreliminaryIntersection3f", "distance, face, shape"),
-        Step("djpt.geometry.bvh.calls.engine:functions", "machine code: eight boxes at once"),
+        Step("djpt.geometry.bvh.calls.trees:functions", "machine code: eight boxes at once"),
     ),
-    (Step("djpt.scene.scene:Scene.surface_interaction", "position, normal, frame, uv of the nearest"),),
+    (Step("djpt.scene.queries:SceneQueries.surface_interaction", "position, normal, frame, uv of the nearest"),),
 )
 
 GRADIENT: Rows = (
     (Step("djpt.rendering.render:render", "finds parameters with gradients enabled"),),
-    (Step("djpt.rendering.gradients.derivatives:differentiable", "one operation of Dr.Jit: image and derivative"),),
+    (Step("djpt.rendering.gradients.choice:differentiable", "one operation of Dr.Jit: image and derivative"),),
     (
         Step("djpt.rendering.schedules.base:Schedule.image", "the image, nothing tracked"),
         Step("djpt.rendering.gradients.derivatives:ImageOp.backward", "called by dr.backward(loss)"),

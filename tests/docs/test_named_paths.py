@@ -34,6 +34,9 @@ ROOMS_OF_CHAPTERS = {
 }
 """The rooms of a chapter of the reference that hasn't the name of its one."""
 
+GROUPS = {"djpt.plugins"}
+"""Groups of entry points, which are no modules."""
+
 pytestmark = pytest.mark.skipif(not PAGES, reason="not a working copy of the repository")
 
 
@@ -47,7 +50,7 @@ def wrong_names(page: Path) -> list[str]:
     return sorted(
         {path for path in paths if not (ROOT / path).exists()}
         | {name for name in FILE.findall(text) if name not in FILES}
-        | {name for name in names if not exists(name)}
+        | {name for name in names - GROUPS if not exists(name)}
         | included
     )
 
