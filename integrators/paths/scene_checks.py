@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import warnings
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -65,9 +66,17 @@ def warn_of_unrendered(integrator: Integrator, scene: Scene) -> None:
 
 def warn(message: str) -> None:
     """Warn the caller of `render`, which checks the scene by way of `make_job` and `Integrator.check_scene`."""
-    warnings.warn(message, stacklevel=7)
+    warnings.warn(message, stacklevel=levels_to_caller())
 
 
 def stay_black(names: Sequence[str]) -> str:
     """``a stays black``, ``a, b stay black``."""
     return f"{', '.join(names)} stay{'s' if len(names) == 1 else ''} black"
+
+
+def levels_to_caller() -> int:
+    """The levels from the calling function up to the code outside of djpt that called it, for `warnings.warn`."""
+    level, frame = 1, sys._getframe(1)
+    while frame.f_back is not None and str(frame.f_globals.get("__name__")).split(".")[0] == "djpt":
+        level, frame = level + 1, frame.f_back
+    return level

@@ -11,7 +11,7 @@ import pytest
 
 import djpt
 from djpt.core.transforms import ScalarTransform4f as T
-from djpt.description.registry import names
+from djpt.description.own_plugins import plugin_modules
 from djpt.errors import ParameterError
 from djpt.jit.types import TensorXf
 from djpt.rendering.gradients.leaves import attached_parameters, shape_parameters, unused_values
@@ -94,7 +94,8 @@ def scene_of(kind: str, name: str) -> dict[str, Any]:
 PLUGINS = [
     (kind, name)
     for kind in ("shape", "bsdf", "emitter", "texture", "medium", "phase", "volume")
-    for name in names(kind)
+    for name, place in sorted(plugin_modules().items())
+    if place.kind == kind
 ]
 
 

@@ -17,7 +17,7 @@ from djpt.core.transforms import ScalarTransform4f as T
 from djpt.description.frame_change import NotMovable
 from djpt.jit.types import Vector3f
 from djpt.scene.normalization.frame import WorkingFrame
-from djpt.scene.normalization.plugin_copies import Carrier
+from djpt.scene.normalization.plugin_copies import PluginCopies
 from tests.kit.processes import ROOT
 
 PAGES = ("CONTRIBUTING.md", "docs/guides/plugins.md")
@@ -94,7 +94,7 @@ def ball(bsdf: str, integrator: Any, schedule: str = "auto") -> Any:
 
 def moved(bsdf: Any) -> str:
     try:
-        return type(Carrier(WorkingFrame(0.125, (1, 2, 3))).copy_of(bsdf)).__name__
+        return type(PluginCopies(WorkingFrame(0.125, (1, 2, 3))).copy_of(bsdf)).__name__
     except NotMovable as error:
         return str(error)
 
