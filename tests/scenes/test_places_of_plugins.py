@@ -65,6 +65,8 @@ def source() -> str:
     code = ["import drjit as dr"]
     for page in PAGES:
         for block in re.findall(r"^```python\n(.*?)^```", (ROOT / page).read_text(), re.DOTALL | re.MULTILINE):
+            if block.startswith(" "):
+                continue  # lines to add to a file
             for node in ast.parse(block).body:
                 registers = isinstance(node, ast.Expr) and "register_" in ast.unparse(node)
                 if registers or isinstance(node, ast.Import | ast.ImportFrom | ast.ClassDef):
