@@ -65,7 +65,7 @@ Inbox: TypeAlias = "queue.SimpleQueue[dict[str, Any]] | queue.Queue[dict[str, An
 
 
 class Session:
-    """What a page shows: a scene, rendered in rounds, until `spp` samples per pixel.
+    """The session behind a page: a scene, rendered in rounds, until `spp` samples per pixel.
 
     Args:
         describe: reads the scene; called again when one of its files changes.

@@ -51,13 +51,13 @@ class Accumulation:
     software: str = field(default_factory=versions)
     """The versions of djpt and Dr.Jit that its rounds come from: see `versions`."""
     fingerprint: Fingerprint
-    """What is rendered: see `djpt.rendering.progressive.fingerprint`."""
+    """The fingerprint of the render: see `djpt.rendering.progressive.fingerprint`."""
     channels: tuple[str, ...]
     """The names of the image's channels."""
     round_spp: int
     """Samples per pixel of each whole round, on average."""
     schedule: str
-    """How lanes are filled: the `schedule` of `render`."""
+    """The schedule that fills lanes, as for `render`."""
     seeds: tuple[int, ...] = ()
     """The seed of each round."""
     counts: tuple[int, ...] = ()
@@ -390,7 +390,7 @@ class AdaptiveAccumulation(Accumulation):
     """Over all rounds the sums of l l, l w and w w, l being the weighted luminance of a tile's film in a round and w
     its weight: (3, tiles, height, width)."""
     taken: Counts
-    """How often each tile was sampled in each half, (2, tiles)."""
+    """The number of times that each tile was sampled in each half, (2, tiles)."""
     last: Floats
     """The luminance of the last survey of each half, (2, height, width)."""
     changes: Doubles
@@ -503,7 +503,7 @@ class AdaptiveAccumulation(Accumulation):
         return np.repeat(every, shares(self.tiles, self.taken[half], self.changes[1 - half] / known, places))
 
     def _is_survey(self, number: int, count: int) -> bool:
-        """Whether a round samples all tiles alike: a smaller one can't."""
+        """True if a round samples all tiles alike: a smaller one can't."""
         return is_survey(number) and count == self.round_spp
 
     def with_round(self, seed: int, count: int, part: TileSums) -> AdaptiveAccumulation:

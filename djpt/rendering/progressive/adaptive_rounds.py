@@ -104,7 +104,7 @@ class AdaptiveRounds:
 
     @property
     def small(self) -> bool:
-        """Whether all tiles are computed at once."""
+        """True if all tiles are computed at once."""
         return self.tiles.count <= self._together
 
     def _job(self) -> Job:

@@ -117,8 +117,8 @@ def render_passes(
     image is a function of (scene, spp, seed, round_spp). Up to one round it is that of `render`, bit for bit; beyond,
     it has other samples than ``render(scene, spp=spp, seed=seed)``, whose numbers depend on `spp`, as in Mitsuba.
 
-    A continued render has the bits of one with more samples from the start, for every sampler; a last round
-    that is smaller is rendered anew then. Samplers of low discrepancy are stratified within each round, not from round
+    A continued render has the bits of one with more samples from the start, for every sampler; a last round that is
+    smaller is then rendered again in full. Samplers of low discrepancy are stratified within each round, not from round
     to round.
 
     Args:

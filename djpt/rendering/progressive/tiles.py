@@ -70,7 +70,7 @@ class Tiles:
     border: int
     """The border of the film, in pixels."""
     reach: int
-    """How many pixels away from its own pixel a sample counts: 0 with the box filter."""
+    """The distance in pixels up to which a sample counts beyond its own pixel: 0 with the box filter."""
 
     @property
     def columns(self) -> int:
@@ -232,7 +232,7 @@ def surveys(rounds: int, half: int) -> int:
 
 
 def shares(tiles: Tiles, taken: Counts, variances: Doubles, places: int) -> Counts:
-    """How often a round of a half samples each tile.
+    """The number of times that a round of a half samples each tile.
 
     The mean squared error of the image, the sum of variance / count over the tiles, is least for counts in proportion
     to the standard deviations: tiles are sampled that have less than this fraction.
