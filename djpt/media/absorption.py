@@ -19,7 +19,7 @@ __all__ = ["AbsorbingBody"]
 
 
 class AbsorbingBody(Medium):
-    """The inside of the shapes that a BSDF covers which `absorbs`. Its values are the BSDF's."""
+    """The interior of shapes whose BSDF `absorbs`. Its values are the BSDF's."""
 
     children = ("bsdf",)
     m_is_homogeneous = True

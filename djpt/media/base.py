@@ -33,13 +33,13 @@ class Medium(Plugin):
     and is scattered sigma_s times = albedo sigma_t. Per length, too, a medium that glows adds its `emission` to the
     radiance, whatever its extinction: a thin flame of length d has the radiance emission * d.
 
-    A class says how large the coefficients are, by `get_majorant`, `get_scattering_coefficients` and
+    A class defines the coefficients by `get_majorant`, `get_scattering_coefficients` and
     `intersect_aabb`, as in Mitsuba. All methods below "in kernels" run once per class, with per-lane values (see
     `djpt.dispatch.ensemble`).
 
     Parameters of all media: a nested phase function (any key; default `isotropic`), `sample_emitters` (default true:
     light sampling at points in the medium), `emission` (radiance per unit of length that the medium adds, the same
-    in all directions: a number, rgb or volume >= 0; default: none). It is met by paths; light sampling doesn't look for
+    in all directions: a number, rgb or volume >= 0; default: none). Paths find it; light sampling ignores
     it.
     """
 
@@ -78,8 +78,8 @@ class Medium(Plugin):
     # ---- working frames ----------------------------------------------------------------
 
     def move_into(self, frame: Frame) -> None:
-        """By default media can't be moved: each class knows what it does per unit of length."""
-        raise NotMovable(f"{self.id()}: it isn't known what it does per unit of length")
+        """By default media can't be moved: only the class knows which of its values are per unit of length."""
+        raise NotMovable(f"{self.id()}: this medium can't be moved, as its values per unit of length aren't known")
 
     def move_nested(self, frame: Frame) -> None:
         """Move the phase function and other children, and convert the emission."""
@@ -126,7 +126,7 @@ class Medium(Plugin):
         raise NotImplementedError
 
     def intersect_aabb(self, ray: Ray3f) -> tuple[Bool, Float, Float]:
-        """The intersection of a ray with the medium's box: True if it is met, and where it is entered and left."""
+        """The intersection of a ray with the medium's box: True if any, and the distances of entry and exit."""
         raise NotImplementedError
 
     # ---- in kernels: collisions, as scripts ask for them ---------------------------------
@@ -154,7 +154,7 @@ class Medium(Plugin):
     def transmittance_eval_pdf(
         self, mi: MediumInteraction3f, si: SurfaceInteraction3f, active: Bool | bool = True
     ) -> tuple[Color3f, Color3f]:
-        """The transmittance up to a sampled collision or, if it is closer, a surface; and the density of coming there.
+        """The transmittance up to a sampled collision or, if it is closer, a surface; and the density of getting there.
 
         For the majorant, so null collisions included; the density is of the distance, or of having passed it.
         """
@@ -173,7 +173,7 @@ class Medium(Plugin):
         stream: SampleStream,
         active: Bool,
     ) -> Flight:
-        """Sample how far light gets on a segment of a ray with a unit direction; by default by delta tracking.
+        """Sample how far light travels on a segment of a ray with a unit direction; by default by delta tracking.
 
         Where `active`, numbers are drawn from `stream`. `channel` is the one that samples distances in closed form;
         None if the extinction of no medium differs between channels, or the medium is to draw one. `throughput` is the
@@ -182,7 +182,7 @@ class Medium(Plugin):
         return tracking.fly(self, ray, length, throughput, stream, active)
 
     def transmittance(self, ray: Ray3f, length: Float, stream: SampleStream | None, active: Bool) -> Color3f:
-        """The share of light that is left after a segment of a ray with a unit direction; by default by ratio tracking.
+        """The fraction of light left after a segment of a ray with a unit direction; by default by ratio tracking.
 
         Where `active`, an estimate draws numbers from `stream`; a closed form needs none.
         """
@@ -192,13 +192,13 @@ class Medium(Plugin):
     # ---- in kernels: what trackers ask for ---------------------------------------------------
 
     def majorants(self, ray: Ray3f) -> tracking.Majorants:
-        """A function that gives a majorant of all channels from a point of a ray on, and where it ends to hold."""
+        """A function that returns a majorant from a point of a ray onwards, and the distance up to which it holds."""
         color = self.get_majorant(MediumInteraction3f.on(ray, Float(0)))
         largest = maximum(maximum(color.x, color.y), color.z)
         return lambda t, active: (largest, Float(dr.inf))
 
     def extinction(self, mi: MediumInteraction3f, active: Bool | bool = True) -> Color3f:
-        """sigma_t at a point, as derivatives are taken of it."""
+        """sigma_t at a point, in the form that is differentiated."""
         return self.get_scattering_coefficients(mi, active)[2]
 
     def extinction_at(self, mi: MediumInteraction3f, u: Float, active: Bool | bool = True) -> Color3f:

@@ -1,7 +1,7 @@
-"""Derivatives of flights by the extinction: what trackers can't give, since they only decide.
+"""Derivatives of flights with respect to the extinction, which trackers lack, since they only make decisions.
 
 Along a ray the radiance is L = integral of T(t) sigma_s(t) S(t) dt, plus what lies behind, where T is the transmittance
-and S what arrives to be scattered. A change of sigma_t changes it in two ways.
+and S the light that arrives to be scattered. A change of sigma_t changes it in two ways.
 
 * T(t) changes by -T(t) times the integral of the change up to t. Each flight takes that from one uniform point of the
   way that it has flown (`passed`), so there is no density to divide by.
@@ -44,15 +44,15 @@ THIN = 0.03
 FEW = 0.5
 """sigma_0 times the way of a ray through the medium, in thin ones: collisions so rare would be noise."""
 LEAST = 1e-6
-"""The least sigma_0, for media without matter and without end."""
+"""The minimum sigma_0, for unbounded media without matter."""
 SHORT = 1e-9
-"""The least way that is divided by."""
+"""The minimum distance that is divided by."""
 
 
 def own_stream(ray: Ray3f, t: Float) -> IndependentStream:
     """Random numbers that depend on a segment of a ray alone.
 
-    Derivatives take no numbers from the path's own stream: paths stay what they are without derivatives.
+    Derivatives take no numbers from the path's own stream: paths are the same with and without derivatives.
     """
     numbers = (ray.o.x, ray.o.y, ray.o.z, ray.d.x, ray.d.y, ray.d.z, t)
     words: list[Any] = [dr.reinterpret_array(UInt32, x) for x in numbers]
@@ -99,7 +99,7 @@ def passed(medium: Medium, ray: Ray3f, start: Float, end: Float, active: Bool) -
 
 
 def of_flight(medium: Medium, ray: Ray3f, start: Float, end: Float, collided: Bool, active: Bool) -> Color3f:
-    """1, with the derivative of a flight over its weight: by what it has passed and, where it `collided`, by that.
+    """1, with the derivative of a flight over its weight: by its segment and, where it `collided`, its collision.
 
     One of the two is drawn, in proportion to what a change of sigma_t counts there: reading the eight numbers around a
     point, and adding to each, takes time.

@@ -16,14 +16,14 @@ FAR = 1e30
 
 @dataclass
 class Flight:
-    """A segment of a path in a medium, as long as it was sampled."""
+    """A segment of a path in a medium, with its sampled length."""
 
     t: Float
     """Distance at which light is scattered; unspecified where it isn't."""
     scattered: Bool
     """True where the segment ends in the medium, else the light has passed it."""
     value: Color3f
-    """The transmittance of what was flown, times the scattering coefficient where light is scattered."""
+    """The transmittance of the distance flown, times the scattering coefficient where light is scattered."""
     pdf: Color3f
     """The density of such a flight if the distance had been sampled by each channel's coefficient; detached.
 
@@ -39,7 +39,7 @@ class Flight:
 
 
 def of_channel(color: Color3f, channel: UInt32 | None) -> Float:
-    """The component of a channel; of a grey, which needs no channel, the first."""
+    """The component of a channel; the first of a grey medium, which needs no channel."""
     if channel is None:
         return color.x
     return dr.select(channel == 0, color.x, dr.select(channel == 1, color.y, color.z))

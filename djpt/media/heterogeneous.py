@@ -36,7 +36,7 @@ HIDDEN = ParamFlags.NonDifferentiable
 
 
 class Heterogeneous(Medium):
-    """Smoke: sigma_t varies in space, within the box of its volume; there is nothing outside of that.
+    """Smoke: sigma_t varies in space, within the box of its volume; there is nothing outside it.
 
     Distances are sampled by delta tracking, the transmittance of shadow rays is estimated by ratio tracking: see
     `djpt.media.tracking`. Of a grey grid, each collision reads one number in place of the eight around it, and
@@ -67,7 +67,7 @@ class Heterogeneous(Medium):
         self._place()
 
     def _place(self) -> None:
-        """Compute what kernels know of the volume as a whole: its box, and the majorants."""
+        """Compute the data of the whole volume that kernels use: its box, and the majorants."""
         box = self.sigma_t.bbox()
         self.low, self.high = as_vector(np.array(box.min)), as_vector(np.array(box.max))
         largest = self.sigma_t.max()
@@ -132,7 +132,7 @@ class Heterogeneous(Medium):
         return (mint <= maxt) & (maxt > 0), mint, maxt
 
     def _effective(self, density: Color3f, mi: MediumInteraction3f, active: Bool | bool) -> Color3f:
-        """The extinction from what the volume says, for light that comes from `mi.wi`."""
+        """The extinction from the volume's value, for light that comes from `mi.wi`."""
         sigma_t = density * self.scale
         if self._is_of_flakes():
             sigma_t = sigma_t * self.phase.projected_area(mi, active)
@@ -177,7 +177,7 @@ class Heterogeneous(Medium):
 
 
 def clipped(x: Float, count: Float) -> Float:
-    """The number of a cell, at least 0 and below `count`; also of what isn't a number."""
+    """The number of a cell, at least 0 and below `count`; also for NaN."""
     return minimum(maximum(x, Float(0)), count - 1)
 
 

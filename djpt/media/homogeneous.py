@@ -34,10 +34,10 @@ DENSEST = 1e18
 
 
 class Homogeneous(Medium):
-    """Fog: sigma_t is the same everywhere, and light is left as exp(-sigma_t t).
+    """Fog: sigma_t is the same everywhere, and the transmittance is exp(-sigma_t t).
 
     Distances are sampled by t = -log(1 - u) / sigma_t, with the sigma_t of one channel: that of the path, or one that
-    is drawn for the flight; then all that could have been drawn count in its density.
+    is drawn for the flight; then its density accounts for all channels that could have been drawn.
 
     Parameters: `sigma_t` (extinction per unit length: a number or rgb, >= 0, default 1), `scale` (a factor of it,
     default 1), `albedo` (the scattered fraction: a number, rgb or volume in [0, 1], default 0.75),

@@ -49,7 +49,7 @@ class MediumPtr(Pointer[Medium]):
         return dr.select(active, found, nothing)
 
     def intersect_aabb(self, ray: Ray3f) -> tuple[Bool, Float, Float]:
-        """The intersection of a ray with the medium's box: True if it is met, and where it is entered and left."""
+        """The intersection of a ray with the medium's box: True if any, and the distances of entry and exit."""
         nothing = (Bool(False), Float(0), Float(dr.inf))
         return self._ask(lambda medium: medium.intersect_aabb(ray), nothing)
 
@@ -67,7 +67,7 @@ class MediumPtr(Pointer[Medium]):
     def transmittance_eval_pdf(
         self, mi: MediumInteraction3f, si: SurfaceInteraction3f, active: Bool | bool = True
     ) -> tuple[Color3f, Color3f]:
-        """The transmittance up to a collision or a surface, and the density of having come there."""
+        """The transmittance up to a collision or a surface, and the density of having got there."""
         nothing = (Color3f(0), Color3f(0))
         found = self._ask(lambda medium: medium.transmittance_eval_pdf(mi, si, active), nothing)
         return dr.select(active, found, nothing)

@@ -1,10 +1,10 @@
 """Flights through media whose extinction varies: delta tracking and ratio tracking.
 
 Matter that has no effect is added until the extinction is the same everywhere, a majorant m. Distances are then sampled
-in closed form; a collision at p is real with the probability sigma_t(p) / m, and otherwise the light goes on (E.
+in closed form; a collision at p is real with the probability sigma_t(p) / m, and otherwise the light continues (E.
 Woodcock et al., 1965). The fraction of light that passes a segment is estimated by the product of 1 - sigma_t / m over
 all collisions (J. Novak, A. Selle and W. Jarosz, "Residual Ratio Tracking", SIGGRAPH Asia 2014). Majorants may change
-along the ray: a flight that reaches the end of one goes on from there, since it has no memory.
+along the ray: a flight that reaches the end of one continues from there, since it has no memory.
 
 Both are linear in sigma_t at each collision, so an estimate with the right mean serves as well as the value.
 """
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 __all__ = ["Majorants", "Track", "fly", "landing", "scattering_point", "span", "step", "transmittance"]
 
 Majorants = Callable[[Float, "Bool | bool"], tuple[Float, Float]]
-"""Gives the majorant at a point of a ray, and the distance where it ends to hold; it must lie beyond the point."""
+"""Returns the majorant at a point of a ray, and the distance up to which it holds, which must lie beyond the point."""
 
 LITTLE = 0.1
 """Estimates of a transmittance below it are ended by Russian roulette, or raised to `KEPT`."""
@@ -70,7 +70,7 @@ def fly(
     active: Bool,
     leaves: Medium | None = None,
 ) -> Flight:
-    """Sample how far light gets on a segment of a ray with a unit direction, by delta tracking.
+    """Sample how far light travels on a segment of a ray with a unit direction, by delta tracking.
 
     If sigma_t differs between channels, a collision is real with the mean of their probabilities, each counted as much
     as light is left in its channel: so the mean of the path's throughput stays as it is, and no channel outgrows it.
@@ -259,7 +259,7 @@ def span(medium: Medium, ray: Ray3f, length: Float, active: Bool) -> tuple[Float
 def collision(
     medium: Medium, majorants: Majorants, ray: Ray3f, end: Float, track: Track
 ) -> tuple[Float, Bool, Color3f]:
-    """Go on to the next collision, real or not, or to where the majorant ends to hold.
+    """Continue to the next collision, real or not, or to the end of the majorant's range.
 
     Returned are the distance, whether there is a collision, and an estimate of sigma_t / majorant there.
     """
@@ -282,7 +282,7 @@ def run(
     label: str,
     places: bool = False,
 ) -> Track:
-    """Make steps until the segment is through, and leave the stream where they have left it.
+    """Make steps to the end of the segment, and advance the stream by the numbers that they draw.
 
     With `places` the track has places to be `shown`.
     """

@@ -1,4 +1,4 @@
-"""Photons: what light paths leave on surfaces, kept for camera paths that come by."""
+"""Photons: records that light paths leave on surfaces, for camera paths to gather."""
 
 from __future__ import annotations
 

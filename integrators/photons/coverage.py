@@ -33,7 +33,7 @@ MOST = 16
 """Points of a disk, at most. In the corner of a room, where c = 1/4, one in a hundred such sequences ends too early."""
 
 PRECISION = 2.0**-17
-"""The least height of where rays begin over 1 + the largest coordinate: below it rounding decides what they hit."""
+"""The minimum height of ray origins over 1 + the largest coordinate: below it, rounding errors decide what they hit."""
 
 
 @dataclass
@@ -52,7 +52,7 @@ def inverse_coverage(
     """An estimate of 1 / c, c being the fraction of the disk about a point where photons count; 1 where not `active`.
 
     A point of the disk counts if it is seen from the centre along the surface, and the surface there lies near the
-    tangent plane and faces the same way. If none is found, because what is there is smaller than the disk, the
+    tangent plane and faces the same way. If none is found, because the surface there is smaller than the disk, the
     estimate is 1.
     """
     lanes = dr.width(si.p, active, sampler)

@@ -30,20 +30,20 @@ def coded(d: Vector3f, digits: int) -> UInt32:
 
 
 def decoded(bits: UInt32, digits: int) -> Vector3f:
-    """The unit vector that `coded` has made a number of."""
+    """The unit vector encoded by `coded`."""
     inverse = 1 / half_of(digits)
     u, v = (dr.fma(Float(Int32(c)), inverse, -1) for c in (bits & (2**digits - 1), bits >> digits))
     return direction_at(Point2f(u, v))
 
 
 def packed(d: Vector3f) -> Float:
-    """A unit vector in the bits of a `Float`, which isn't a number to compute with."""
+    """A unit vector stored in the bits of a `Float`, which isn't meaningful as a number."""
     word: Any = dr.reinterpret_array(Float, coded(d, DIGITS))
     return Float(word)
 
 
 def unpacked(word: Float) -> Vector3f:
-    """The unit vector that `packed` has put into a word."""
+    """The unit vector stored by `packed`."""
     bits: Any = dr.reinterpret_array(UInt32, word)
     return decoded(UInt32(bits), DIGITS)
 

@@ -38,13 +38,13 @@ from djpt.jit.types import (
 __all__ = ["PhotonMap"]
 
 DIGITS = 32
-"""Binary digits behind the point of sums, in units of a usual colour: as many are left before it, less one."""
+"""Fractional bits of sums, in units of a typical colour: the integer part has as many, less one."""
 
 LENGTH = 1 / 2
 """The length of a cell along x, in relation to the radius."""
 
 WIDTH = 2.0
-"""Its width along y and z."""
+"""Its width along y and z, in relation to the radius."""
 
 SHIFT = 0.382
 """Position of the origin in its cell along y and z: floors at 0 are common, and shouldn't lie between two cells."""
@@ -62,7 +62,7 @@ AT_ONCE = 4
 """Photons that a lane looks at before it asks whether its run has ended."""
 
 FAR = 2**30
-"""The number of the last cell along an axis: what lies further is in it, too."""
+"""The number of the last cell along an axis: it also holds everything beyond."""
 
 FEWEST = 2**10
 """Hash values of a map with few photons."""
@@ -75,12 +75,12 @@ class PhotonMap:
     """The photons of a pass, ready for sums over those near a point."""
 
     def __init__(self, radius: float, paths: int, unit: float) -> None:
-        """A map without photons: `fill` brings them.
+        """Create a map without photons: `fill` adds them.
 
         Args:
             radius: the distance up to which photons count.
             paths: the light paths that they come from.
-            unit: a radiance of usual size, a power of two: it decides on the digits of sums.
+            unit: a radiance of typical size, a power of two: it sets the precision of sums.
         """
         density = math.pi * radius**2 * paths
         self.expected = as_float(density)
@@ -125,9 +125,9 @@ class PhotonMap:
         return (UInt32(x) + UInt32(y) * ALONG_Y + UInt32(z) * ALONG_Z) & self._mask
 
     def _run(self, p: Point3f, reach: Float, y: Int32, z: Int32, asked: Bool) -> tuple[UInt32, UInt32]:
-        """The photons of the row (y, z) near a point: from the first one to the one behind the last.
+        """The photons of the row (y, z) near a point: the number of the first one, and one past the last.
 
-        Runs over the last hash value go on at the first one, which is counted on from the number of photons.
+        Runs past the last hash value continue at the first one, whose numbers follow those of all photons.
         """
         rest = self._square - dr.square(self._distance(p.y, y)) - dr.square(self._distance(p.z, z))
         asked = asked & (rest > 0)
@@ -153,15 +153,15 @@ class PhotonMap:
     def density(
         self, p: Point3f, n: Normal3f, edges: UInt32, active: Bool, worth: Callable[[Photon], Color3f]
     ) -> Color3f:
-        """The sum of what photons near a point are worth, over the area of a disk of the radius and the light paths.
+        """The sum of contributions of photons near a point, over the area of the disk and the number of light paths.
 
         Args:
             p: the point, on a surface.
             n: the surface's normal.
             edges: the most edges of the photons' paths that count; all paths of more than `MOST_EDGES` of
                 `djpt.integrators.photons.photon` count alike.
-            active: where there is a sum at all; else it is 0.
-            worth: what a photon within the radius counts, a colour.
+            active: lanes that have a sum; in others it is 0.
+            worth: the contribution of a photon within the radius, a colour.
         """
         lanes = dr.width(p, active)
         most = Float(dr.minimum(edges, MOST_EDGES))

@@ -18,14 +18,14 @@ WORDS = 8
 """The words of 32 bits that a photon takes, and one packet of memory."""
 
 WEIGHTS = 2
-"""Further ones of photons that have weights."""
+"""Additional words of photons that have weights."""
 
 FOUND = 8
 """The words per photon, at most, that it takes to find its cell: its hash value and its number among those that have
 it, and three for each hash value, of which there are less than two to a photon."""
 
 PER_PATH = 6
-"""Photons of a path that there is memory for at first."""
+"""The number of photons per path for which memory is allocated at first."""
 
 NORMAL_DIGITS, EDGES_DIGITS = 8, 16
 """Binary digits of a coordinate of a photon's normal, and of its number of edges: together they make a word."""
@@ -67,7 +67,7 @@ def bytes_of(paths: int, weighted: bool) -> int:
 
 
 def require_memory(owner: str, paths: int, weighted: bool, photons: int = 0) -> None:
-    """Raise `RenderError` if the photons of a pass are more than memory holds.
+    """Raise `RenderError` if the photons of a pass don't fit into memory.
 
     Args:
         owner: the name of the integrator.
@@ -93,10 +93,10 @@ class PhotonStore:
         Args:
             owner: the integrator's name, for messages.
             paths: light paths of a pass.
-            weighted: whether photons have weights; else theirs are lost.
+            weighted: whether photons have weights; else weights are discarded.
 
         Raises:
-            RenderError: They take more memory than is free.
+            RenderError: They need more memory than is free.
         """
         self._owner, self._paths, self.weighted = owner, paths, weighted
         self._make_room(PER_PATH * paths)
@@ -116,7 +116,7 @@ class PhotonStore:
         return self._count, self.photons, self.weights
 
     def add(self, photon: Photon, active: Bool) -> None:
-        """Keep a photon. Those for which there is no room are counted only."""
+        """Store a photon. Those for which there is no room are only counted."""
         place: Any = dr.scatter_inc(self._count, UInt32(0), active)
         active = active & (place < self._limit)
         dr.scatter(self.photons, packed(photon), place, active)
@@ -124,10 +124,10 @@ class PhotonStore:
             dr.scatter(self.weights, Vector2f(photon.vcm, photon.vc), place, active)
 
     def count(self) -> int | None:
-        """The number of photons, once the walk has ended; None if there was no room: then there is, to walk again.
+        """The number of photons, once the walk has ended; None if there was no room: then there is for another walk.
 
         Raises:
-            RenderError: There can't be.
+            RenderError: There isn't enough memory.
         """
         found = int(self._count[0])
         if found <= self._room:
@@ -137,7 +137,7 @@ class PhotonStore:
 
 
 def memory_for(photons: int, weighted: bool) -> tuple[Float, Float]:
-    """Memory for the packets of some photons, and for their weights: none, if they have none."""
+    """Memory for the packets of some photons, and for their weights, if they have any."""
     return dr.empty(Float, WORDS * photons), dr.empty(Float, WEIGHTS * photons if weighted else 0)
 
 

@@ -1,4 +1,4 @@
-"""The contract of integrators that look at photons: progressive photon mapping."""
+"""The contract of integrators that gather photons: progressive photon mapping."""
 
 from __future__ import annotations
 
@@ -24,30 +24,29 @@ if TYPE_CHECKING:
 __all__ = ["PhotonMapping", "over_cosine", "scatters"]
 
 MOST_PATHS = 2**26
-"""The most light paths of a pass."""
+"""The maximum number of light paths of a pass."""
 
 Self = TypeVar("Self", bound="PhotonMapping")
 
 
 class PhotonMapping(SplattingIntegrator):
-    """An estimator whose camera paths look at photons: at what light paths have left near a point on a surface.
+    """An estimator whose camera paths gather photons: the records that light paths have left near a surface point.
 
     An image is made in passes. Each traces `photon_count` light paths, whose photons make a map, and one sample of each
     pixel, or as many as give one camera path for `paths_per_sample` light paths,
-    which look at it. To count all photons within a radius
-    as if they had come to the point itself is to blur, which is an error; it vanishes, because the radius shrinks from
-    pass to pass::
+    which gather from it. Counting all photons within a radius as if they had arrived at the point itself blurs the
+    image, which is an error; it vanishes, because the radius shrinks from pass to pass::
 
         r_i = r_1 i^((alpha - 1) / 2),    i = 1, 2, ..
 
-    Slowly enough, for 0 < alpha < 1, for the noise to vanish as well. What a pass is depends on the film's size and
+    Slowly enough, for 0 < alpha < 1, for the noise to vanish as well. A pass depends on the film's size and
     these parameters alone, so an image is a function of (scene, spp, seed).
 
     Parameters, besides those of the estimator: `photon_count` (light paths of a pass, default 2^18),
     `initial_radius` (in the scene's units, > 0; default 0: from what the sensor sees, see below), `alpha` (in (0, 1],
     default 2/3; 1 keeps the radius).
 
-    The first radius is such that the points that some camera rays see have `crowd` photons about them on average, but
+    The first radius is such that the points that some camera rays see have `crowd` photons around them on average, but
     at most 1/72 of the width of what the picture shows there (`djpt.rendering.schedules.first_radius`). It doesn't
     depend on the seed or on the samples per pixel.
 
@@ -75,7 +74,7 @@ class PhotonMapping(SplattingIntegrator):
     """True if photons keep the weights of their light paths."""
 
     photons: PhotonMap | None = None
-    """The map of the pass at hand."""
+    """The map of the current pass."""
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
@@ -87,7 +86,7 @@ class PhotonMapping(SplattingIntegrator):
     def check_scene(self, scene: Scene, sensor: Sensor) -> None:
         if recording():
             raise RenderError(
-                f"{self.id()}: dr.freeze can't record photon maps, whose sizes only passes know; render without it"
+                f"{self.id()}: dr.freeze can't record photon maps, whose sizes vary by pass; render without it"
             )
         require_memory(self.id(), self.photon_count, self.weighs_photons)
         super().check_scene(scene, sensor)
@@ -102,7 +101,7 @@ class PhotonMapping(SplattingIntegrator):
     # ---- passes ------------------------------------------------------------------------
 
     def radius(self, first: float, number: int) -> float:
-        """The radius of the pass `number` = 0, 1, .. of an image whose `first` radius is given."""
+        """The radius of the pass `number` = 0, 1, .. of an image, from its `first` radius."""
         return first * (number + 1) ** ((self.alpha - 1) / 2)
 
     def looking_at(self: Self, photons: PhotonMap) -> Self:
@@ -116,7 +115,7 @@ class PhotonMapping(SplattingIntegrator):
         raise NotImplementedError
 
     def arrive(self, scene: Scene, sampler: SampleStream, path: Any, store: PhotonStore) -> tuple[Any, Bool]:
-        """Trace the next edge of a light path, and leave a photon; the path that goes on, and whether it does."""
+        """Trace the next edge of a light path, and leave a photon; the continued path, and True where it continues."""
         raise NotImplementedError
 
 

@@ -1,1 +1,1 @@
-"""Parts of projective sampling: derivatives of what moving shapes hide and show."""
+"""Parts of projective sampling: derivatives of the visibility changes that moving shapes cause."""

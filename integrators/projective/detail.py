@@ -22,7 +22,7 @@ from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 __all__ = ["ProjectiveDetail"]
 
 FEW_SAMPLES = 1 << 20
-"""Of fewer samples that count, all teach the octree."""
+"""If fewer samples count, the octree is learnt from all of them."""
 
 
 class ProjectiveDetail:
@@ -96,7 +96,7 @@ class ProjectiveDetail:
             RenderError: the sensor isn't a perspective camera.
         """
         if not isinstance(sensor, Perspective):
-            raise RenderError(f"silhouettes are followed for perspective cameras only, found '{sensor.id()}'")
+            raise RenderError(f"silhouettes are supported for perspective cameras only, found '{sensor.id()}'")
         with dr.suspend_grad():
             center = Point3f(sensor.world_transform().transform_point([0, 0, 0]))
             back = SilhouetteSample3f(ss)
@@ -113,7 +113,7 @@ class ProjectiveDetail:
     # ---- silhouettes that other surfaces see ---------------------------------------------------
 
     def get_projected_points(self, scene: Any, sensor: Any, sampler: Any) -> tuple[Point3f, Bool]:
-        """The points of the space of silhouettes that rays of paths are projected to, and where there are any."""
+        """The points in the space of silhouettes that rays of paths are projected to, and True where there are any."""
         parent = self.parent
         operation = ProjectOperation(parent.proj_mesh_algo, parent.proj_mesh_max_walk, parent.proj_mesh_max_jump)
         rays, active = parent.seed_rays(scene, sensor, sampler)
@@ -124,7 +124,7 @@ class ProjectiveDetail:
         return scene.invert_silhouette_sample(ss, active), active
 
     def init_indirect_silhouette(self, scene: Any, sensor: Any, seed: Any) -> None:
-        """Learn where indirect silhouettes matter, in the way that the parent's `guiding` says."""
+        """Learn where indirect silhouettes matter, by the method that the parent's `guiding` names."""
         parent = self.parent
         if parent.guiding == "none":
             self.guiding_distr = UniformDistr()

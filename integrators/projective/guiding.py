@@ -104,7 +104,7 @@ class OcSpaceDistr(BaseGuidingDistr):
         clamp_input_mass_thres: accepted; samples count if their mass exceeds the attribute `mass_contruction_thres`.
         clamp_mass_thres: leaves with less than this fraction of all mass are never sampled.
         prepartition_x_slices: the slabs along x that the cube is first cut into.
-        scatter_inc: accepted, changes nothing.
+        scatter_inc: accepted, but has no effect.
         scale_mass: masses are raised to the power 1 - scale_mass.
         debug_logs: accepted; nothing is logged.
     """
@@ -214,14 +214,14 @@ class OcSpaceDistr(BaseGuidingDistr):
         return dr.block_sum(dr.max(value), self.extra_spc) / self.extra_spc
 
     def set_points(self, points: Point3f, mass: Float, seed: UInt32 | int = 0, log: bool = False) -> None:
-        """Learn the density from points of the cube and their masses; those of 0 don't count.
+        """Learn the density from points of the cube and their masses; those of mass 0 don't count.
 
         Raises:
             RenderError: no point has mass.
         """
         kept = places_of(mass > self.mass_contruction_thres)
         if not dr.width(kept):
-            raise RenderError("OcSpaceDistr: no sample has mass above the threshold: give more samples, or lower it")
+            raise RenderError("OcSpaceDistr: no sample has mass above the threshold: use more samples, or lower it")
         low, high = self.construct_octree(dr.gather(Point3f, points, kept), log)
         mean = self.estimate_mass_in_leaves(low, high, seed, log)
         size = high - low
@@ -230,7 +230,7 @@ class OcSpaceDistr(BaseGuidingDistr):
             # Where there is hardly any mass, a sample would have an enormous weight.
             valid = places_of((mean >= self.clamp_mass_thres * dr.sum(mean)) & (box_mass > 0))
             if not dr.width(valid):
-                raise RenderError("OcSpaceDistr: no leaf has mass: give more samples")
+                raise RenderError("OcSpaceDistr: no leaf has mass: use more samples")
             low, high = dr.gather(Point3f, low, valid), dr.gather(Point3f, high, valid)
             box_mass = dr.gather(Float, box_mass, valid)
         if self.scale_mass > 0:
@@ -254,7 +254,7 @@ def joined(parts: Sequence[Point3f]) -> Point3f:
 
 
 def places_of(mask: Bool) -> UInt32:
-    """The places of the entries that are true."""
+    """The indices of the entries that are true."""
     found: Any = dr.compress(mask)
     return UInt32(found)
 

@@ -44,7 +44,7 @@ class ProjectOperation:
     def eval(
         self, scene: Any, ray_guide: Ray3f, si_guide: SurfaceInteraction3f, sampler: Any, active: Bool
     ) -> tuple[SilhouetteSample3f, Bool]:
-        """The silhouettes that rays are projected to, and where there are any.
+        """The silhouettes that rays are projected to, and True where there are any.
 
         Args:
             scene: the scene.
@@ -206,7 +206,7 @@ class ProjectOperation:
 
 
 def projected(si: Any, ray: Ray3f, flags: int, sample: Float, active: Bool) -> SilhouetteSample3f:
-    """The projection by the formula of the shape."""
+    """The projection by the shape's own formula."""
     found: SilhouetteSample3f = si.shape.primitive_silhouette_projection(ray.o, si, int(flags), sample, active)
     return found
 
@@ -217,6 +217,6 @@ def random(si: Any, state: UInt64) -> Any:
 
 
 def wide(record: Any, lanes: int) -> Any:
-    """A copy of a record with so many lanes in all its fields, as loops want their state."""
+    """A copy of a record with this many lanes in all its fields, as loops require of their state."""
     spread = dr.zeros(type(record), lanes)
     return dr.select(dr.full(Bool, True, lanes), record, spread)

@@ -1,4 +1,4 @@
-"""The base of integrators that sample silhouettes for the derivatives by geometry."""
+"""The base of integrators that sample silhouettes for derivatives with respect to geometry."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ class PSIntegrator(RBIntegrator):
     reflections show: see `djpt.ad.projective`. A subclass overrides `sample`, `sample_radiance_difference` and
     `sample_importance`.
 
-    Parameters: those of `ADIntegrator`; `sppc`, `sppp`, `sppi`: the samples per pixel of the three estimates if the
-    call doesn't tell (default: the sampler's; 0: none, whatever the call tells); `guiding` (`none`, `grid` or `octree`,
+    Parameters: those of `ADIntegrator`; `sppc`, `sppp`, `sppi`: the samples per pixel of the three estimates, unless
+    the call sets them (default: the sampler's; 0: none, whatever the call sets); `guiding` (`none`, `grid` or `octree`,
     the default): how samples of the third are guided; `guiding_proj` (default true): whether the guide learns from
     projected paths or from uniform samples; `guiding_rounds` (default 1).
 
@@ -128,7 +128,7 @@ class PSIntegrator(RBIntegrator):
     # ---- derivatives ---------------------------------------------------------------------
 
     def override_spp(self, integrator_spp: int | None, runtime_spp: int, sampler_spp: int) -> int:
-        """The samples per pixel of an estimate: what call, setting or sampler say; 0 if the setting is 0."""
+        """The samples per pixel of an estimate: the call's, integrator's or sampler's; 0 if the integrator's is 0."""
         if integrator_spp == 0:
             return 0
         return runtime_spp or integrator_spp or sampler_spp
@@ -174,7 +174,7 @@ class PSIntegrator(RBIntegrator):
         return height, width, len(film.channel_names()) + len(self.aov_names())
 
     def render_ad(self, scene: Scene, sensor: Any, seed: Any, spp: int, mode: dr.ADMode) -> TensorXf:
-        """An image whose derivative is what `radiative_backprop` leaves to be computed; its values mean nothing."""
+        """An image with the derivatives that `radiative_backprop` doesn't compute; its values are meaningless."""
         camera = find_sensor(scene, sensor)
         within, primary, indirect = self._counts(camera, spp)
         total = dr.zeros(TensorXf, self._shape(camera))

@@ -1,4 +1,4 @@
-"""Terms of a path whose values were sampled without gradients, attached to what moves."""
+"""Terms of a path whose values were sampled without gradients, attached to the parameters that move."""
 
 from __future__ import annotations
 

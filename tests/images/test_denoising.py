@@ -194,7 +194,7 @@ def test_errors_say_what_to_do(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, 
     assert command("denoise", tmp_path / "a.exr", "--denoiser", "nlm", "--albedo", "albedo") == 2
     assert "no layer 'albedo' of three channels" in capsys.readouterr().err
     assert command("render", "cornell_box", "-o", tmp_path / "b.exr", "--raw", tmp_path / "raw.exr") == 2
-    assert "--raw keeps what --denoise starts from" in capsys.readouterr().err
+    assert "--raw writes the input of --denoise" in capsys.readouterr().err
     monkeypatch.setitem(__import__("sys").modules, "mitsuba_oidn", None)
     with pytest.raises(djpt.BackendError, match=r"pip install mitsuba-oidn.*'nlm'"):
         djpt.denoise(pixels)

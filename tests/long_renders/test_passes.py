@@ -258,7 +258,7 @@ def test_accumulations_of_different_seeds_add_up() -> None:
     mean = (parts[0].sums + parts[1].sums) / (parts[0].weights + parts[1].weights)
     np.testing.assert_array_equal(both.image().numpy(), np.moveaxis(mean, 0, 2).astype(np.float32))
     assert both.error().overall < max(part.error().overall for part in parts)
-    with pytest.raises(RenderError, match="both have the round of seed"):
+    with pytest.raises(RenderError, match="both contain the round of seed"):
         both + parts[1]
     with pytest.raises(RenderError, match="several seeds"):
         djpt.render_passes(box(rfilter="gaussian"), spp=64, resume_from=both)
@@ -293,9 +293,9 @@ def test_other_versions_and_schedules_are_refused(adaptive: bool) -> None:
     assert found.software == f"djpt {djpt.__version__}, drjit {dr.__version__}"
     for software in (found.software.replace("djpt ", "djpt 9"), found.software.replace("drjit ", "drjit 9")):
         other = replace(found, software=software)
-        with pytest.raises(RenderError, match=f"{software}, others would from {found.software}"):
+        with pytest.raises(RenderError, match=f"{software}, others would come from {found.software}"):
             djpt.render_passes(box(), spp=16, resume_from=other, adaptive=adaptive)
-        with pytest.raises(RenderError, match=f"{found.software}, others would from {software}"):
+        with pytest.raises(RenderError, match=f"{found.software}, others would come from {software}"):
             found + replace(other, seeds=(5, 6))
     with pytest.raises(RenderError, match="its schedule is 'auto', not 'wave'"):
         djpt.render_passes(box(), spp=16, resume_from=found, adaptive=adaptive, schedule="wave")

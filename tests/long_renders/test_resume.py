@@ -73,7 +73,7 @@ def test_signals_write_the_checkpoint(number: int, code: int) -> None:
     process.send_signal(number)
     _, text = process.communicate(timeout=60)
     assert process.returncode == code
-    assert "'job.djpt' has what exists" in text
+    assert "'job.djpt' holds the partial image" in text
     assert not Path("a.npy").exists()
     found = Accumulation.load("job.djpt")
     assert found.rounds > 0
@@ -83,7 +83,7 @@ def test_signals_write_the_checkpoint(number: int, code: int) -> None:
 def test_a_checkpoint_goes_on_and_is_not_overwritten() -> None:
     assert run(*SMALL, "--spp", "64", "--checkpoint", "a.djpt", "-o", "a.exr")[0] == ExitCode.DONE
     code, _, error = run(*SMALL, "--spp", "128", "--checkpoint", "a.djpt", "-o", "a.exr")
-    assert (code, "exists: go on with it (--resume)" in error) == (ExitCode.BAD_INPUT, True)
+    assert (code, "exists: continue from it (--resume)" in error) == (ExitCode.BAD_INPUT, True)
     code, out, _ = run(*SMALL, "--spp", "128", "--checkpoint", "a.djpt", "--resume", "-o", "a.exr")
     assert (code, out.startswith("a.exr: 16 x 16, 128 spp, error ")) == (ExitCode.DONE, True)
     expected = last(box(size=16, rfilter="gaussian"), spp=128)
@@ -120,7 +120,7 @@ def test_checkpoints_of_different_seeds_are_merged() -> None:
     assert Accumulation.load("all.djpt").spp == 128
     assert run("merge", "0.djpt", "1.djpt", "-o", "all.png")[0] == ExitCode.DONE
     code, _, error = run("merge", "0.djpt", "0.djpt", "-o", "all.npy")
-    assert (code, "both have the round of seed 0" in error) == (ExitCode.BAD_INPUT, True)
+    assert (code, "both contain the round of seed 0" in error) == (ExitCode.BAD_INPUT, True)
     assert run("merge", "0.djpt")[0] == ExitCode.BAD_INPUT
 
 

@@ -154,7 +154,7 @@ def test_files_are_written_or_not(number: int, tmp_path: Path) -> None:
     with pytest.raises(error, match="nothing is kept"):
         djpt.render_to_file(white(), path, progress=sends(number), **options)
     assert (list(tmp_path.iterdir()), unfinished) == ([], set())
-    with pytest.raises(error, match=r"a\.exr' has what exists"):
+    with pytest.raises(error, match=r"a\.exr' holds the partial image"):
         djpt.render_to_file(white(), path, progress=sends(number), keep_partial=True, **options)
     assert (read_pixels(path) == 1).all()
     assert djpt.read_metadata(path)["spp"] == "3"
@@ -235,6 +235,8 @@ def test_commands_end_with_one_line_and_a_status(tmp_path: Path) -> None:
     assert errors.startswith("djpt: error: interrupted after ") and errors.endswith(": nothing is kept\n")
     status, errors, files = stopped(tmp_path, signal.SIGTERM, "a.exr", "--keep-partial")
     assert (status, files) == (143, ["a.exr"])
-    assert errors.startswith("djpt: error: terminated after ") and errors.endswith(": 'a.exr' has what exists\n")
+    assert errors.startswith("djpt: error: terminated after ") and errors.endswith(
+        ": 'a.exr' holds the partial image\n"
+    )
     assert 0 < float(djpt.read_metadata(tmp_path / "a.exr")["spp"]) < 1000000
     assert 0.05 < read_pixels(tmp_path / "a.exr").mean() < 0.5

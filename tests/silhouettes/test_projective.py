@@ -222,7 +222,7 @@ def test_errors() -> None:
             "to_world": T().translate([0, 0, -3]),
         }
     )
-    with pytest.raises(RenderError, match="silhouettes are followed for perspective cameras only, found"):
+    with pytest.raises(RenderError, match="silhouettes are supported for perspective cameras only, found"):
         integrator("direct_projective").render_backward(
             room, None, TensorXf(np.ones((4, 4, 3), np.float32)), sensor, spp=1
         )

@@ -189,7 +189,7 @@ def test_a_file_that_changes_is_loaded_again(viewed: Viewed) -> None:
 def test_pausing(viewed: Viewed) -> None:
     viewed.until_done()
     viewed.page.run("void pause.onclick()")
-    viewed.until("pause.textContent == 'go on'")
+    viewed.until("pause.textContent == 'continue'")
     viewed.page.run("void home.onclick()")
     for _ in range(5):
         viewed.session.turn(viewed.server.inbox)

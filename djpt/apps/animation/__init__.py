@@ -1,1 +1,1 @@
-"""Animations: parameters that move from frame to frame, frames as files that a later run goes on from, and movies."""
+"""Animations: parameters that change from frame to frame, frames as files that a later run continues, and movies."""

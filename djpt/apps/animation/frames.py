@@ -1,4 +1,4 @@
-"""`render_frames`: the frames of an animation as files; a later run goes on with those that are missing."""
+"""`render_frames`: the frames of an animation as files; a later run continues with those that are missing."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from djpt.scene.scene import Scene
 __all__ = ["JOB", "Moving", "render_frames"]
 
 JOB = "animation.json"
-"""The file, beside the frames, that says of which animation they are."""
+"""The file, beside the frames, that identifies their animation."""
 
 
 class Moving(Protocol):
@@ -48,24 +48,24 @@ def render_frames(
     convert: Callable[[Any], Any] | None = None,
     facts: Mapping[str, Any] | None = None,
 ) -> Iterator[Path]:
-    """Render the frames of an animation, and give the file of each as soon as it is there.
+    """Render the frames of an animation, and yield the file of each as soon as it is written.
 
-    Frame number n is the file ``n`` with leading zeros. Frames that are there already are given as they are: a run
-    that was ended goes on where it was, and its files have the bits of an undisturbed one, since each frame depends on
-    its own number alone. The scene's parameters have their old values in the end.
+    Frame number n is the file ``n`` with leading zeros. Existing frames are yielded as they are: an interrupted run
+    continues where it stopped, and its files are bit-identical to those of an uninterrupted one, since each frame
+    depends on its own number alone. The scene's parameters get their old values back at the end.
 
     Args:
         scene: What `load_dict` returned.
         motion: Parameters of `traverse(scene)` by name, and their tracks, such as `djpt.apps.animation.tracks.Track`.
         count: The number of frames.
-        folder: Where the files go; made if it is missing. It holds the frames of one animation.
+        folder: The folder for the files; created if it is missing. It holds the frames of one animation.
         suffix: The format: ``.png``, ``.exr`` and all others that `djpt.write` knows.
         sensor: As for `render`.
         integrator: As for `render`.
         spp: As for `render`.
         seed: Of the animation; each frame has a seed of its own, see `djpt.rendering.progressive.rounds.round_seed`.
         convert: Applied to each image before it is written, such as tone mapping.
-        facts: What else tells these frames from others in the same folder, such as the tone curve, by name.
+        facts: Further settings that set these frames apart from others in the folder, such as the tone curve, by name.
 
     Raises:
         ParameterError: A parameter doesn't exist, or can't have a value of its track.
@@ -117,7 +117,7 @@ def remaining(
 
 
 def claim(folder: Path, job: dict[str, Any]) -> None:
-    """Note in a folder which animation its frames are of; raise `FileError` if they are of another one."""
+    """Record in a folder which animation its frames belong to; raise `FileError` if they belong to another one."""
     note = folder / JOB
     if note.exists():
         try:
@@ -129,7 +129,7 @@ def claim(folder: Path, job: dict[str, Any]) -> None:
             raise FileError(f"'{note}' can't be read: {error}; remove it together with its frames") from None
         if differing:
             raise FileError(
-                f"'{folder}' has frames of another animation, which differs in {', '.join(differing)}: choose "
+                f"'{folder}' holds frames of another animation, which differs in {', '.join(differing)}: choose "
                 "another folder, or remove them"
             )
         return
@@ -149,6 +149,6 @@ def digest(values: list[dict[str, Any]]) -> str:
             try:
                 numbers = np.asarray(getattr(value, "matrix", value), np.float64)
             except (TypeError, ValueError):
-                raise ParameterError(f"{key}: numbers and transforms can move, found {value!r}") from None
+                raise ParameterError(f"{key}: only numbers and transforms can be animated, found {value!r}") from None
             state.update(key.encode() + numbers.tobytes())
     return state.hexdigest()

@@ -20,7 +20,7 @@ Pixels = npt.NDArray[np.uint8]
 
 
 def check_movie(path: str | os.PathLike[str]) -> Path:
-    """The path of a movie that can be written.
+    """The path of a movie, checked to be writable.
 
     Raises:
         FileError: Its format isn't known, or its place can't be written to.
@@ -40,8 +40,8 @@ def write_movie(path: str | os.PathLike[str], frames: Sequence[Path], fps: float
     """Write a movie of images, all of one size; images of any range are clipped, as `djpt.write` does for png.
 
     Args:
-        path: ``.mp4`` (H.264; an odd row or column at the end is doubled, as the format needs even sizes) or
-            ``.gif`` (256 colours, endless; its times are in hundredths of a second).
+        path: ``.mp4`` (H.264; an odd last row or column is duplicated, as the format needs even sizes) or
+            ``.gif`` (256 colours, looping endlessly; its times are in hundredths of a second).
         frames: The files of the frames.
         fps: Frames per second.
 
@@ -102,19 +102,19 @@ def ffmpeg() -> Any:
 
 
 def pixels_of(file: Path) -> Pixels:
-    """An image as sRGB of 8 bits, (height, width, 3)."""
+    """An image as 8-bit sRGB, (height, width, 3)."""
     pixels = Image(read_pixels(file)).srgb()
     return pixels[..., :3] if pixels.shape[2] >= 3 else np.repeat(pixels[..., :1], 3, axis=2)
 
 
 def even(pixels: Pixels) -> Pixels:
-    """An image with even numbers of rows and columns: the last ones are doubled if need be."""
+    """An image with even numbers of rows and columns: the last ones are duplicated if need be."""
     height, width = pixels.shape[:2]
     return np.pad(pixels, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
 
 
 def of_one_size(frames: Sequence[Path]) -> Iterator[Pixels]:
-    """The pixels of each frame; raises `FileError` if one has another size than the first."""
+    """The pixels of each frame; raises `FileError` if one differs in size from the first."""
     size = None
     for file in frames:
         pixels = pixels_of(file)

@@ -1,4 +1,4 @@
-"""Tracks: what a parameter is at each moment of an animation, between the values that were given."""
+"""Tracks: the value of a parameter at each moment of an animation, interpolated between given values."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ Doubles = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Track:
-    """The values of a parameter at some frames, its keyframes; between them it moves, beyond them it stands.
+    """The values of a parameter at some frames, its keyframes: interpolated between them, constant beyond them.
 
-    Numbers and vectors move linearly. Transforms move by their parts: translation and stretch linearly, rotation at
-    constant speed along the shortest way (K. Shoemake, "Animating Rotation with Quaternion Curves", 1985), the parts
+    Numbers and vectors are interpolated linearly, transforms by their parts: translation and stretch linearly, rotation
+    at constant speed along the shortest way (K. Shoemake, "Animating Rotation with Quaternion Curves", 1985), the parts
     by polar decomposition (Shoemake and Duff, "Matrix Animation and Polar Decomposition", 1992).
     """
 
@@ -40,7 +40,7 @@ class Track:
         """The track through values by frame: numbers, lists of numbers, or transforms.
 
         Raises:
-            ParameterError: There are no keyframes, or values that can't follow each other.
+            ParameterError: There are no keyframes, or their values can't be interpolated.
         """
         frames = sorted(keyframes)
         values = [getattr(keyframes[frame], "matrix", keyframes[frame]) for frame in frames]
@@ -52,18 +52,18 @@ class Track:
             rows = rows.reshape(-1, 4, 4)
         if not frames or not (rows.ndim == 2 or rows.shape[1:] == (4, 4)) or not np.isfinite(rows).all():
             raise ParameterError(
-                "keyframes must be one number, several, or the 16 of a transform, equally many at each frame; found "
+                "keyframes must be one number, several, or the 16 of a transform, the same count at each frame; found "
                 f"{dict(keyframes)!r}"
             )
         if not all(math.isfinite(frame) for frame in frames):
             raise ParameterError(f"keyframes must be at finite frames, found {frames}")
         if rows.ndim == 3 and np.any(np.linalg.det(rows[:, :3, :3]) * np.linalg.det(rows[0, :3, :3]) <= 0):
-            raise ParameterError("transforms of a track must be invertible, and all mirrored or none")
+            raise ParameterError("transforms of a track must be invertible, and either all or none of them mirrored")
         return cls(tuple(float(frame) for frame in frames), rows)
 
     @classmethod
     def parse(cls, text: str) -> Track:
-        """The track of a text ``FRAME:VALUE;FRAME:VALUE;...`` with values of one number or several, by commas.
+        """The track of a text ``FRAME:VALUE;FRAME:VALUE;...``, each value one number or several, separated by commas.
 
         Raises:
             ParameterError: The text isn't such a list.
@@ -77,7 +77,7 @@ class Track:
                 colon = ""
             if not colon or at in keyframes:
                 raise ParameterError(
-                    f"keyframes are FRAME:VALUE;FRAME:VALUE, as 0:0.5;30:1 or 0:1,0,0;30:0,0,1; found '{text}'"
+                    f"keyframes are FRAME:VALUE;FRAME:VALUE, such as 0:0.5;30:1 or 0:1,0,0;30:0,0,1; found '{text}'"
                 )
             keyframes[at] = numbers
         return cls.of(keyframes)
@@ -97,7 +97,7 @@ class Track:
 
 @dataclass(frozen=True)
 class TurningCamera:
-    """A camera that turns about what it looks at, at constant speed: the track of its transform."""
+    """A camera that orbits its target at constant speed: the track of its transform."""
 
     camera: OrbitCamera
     """The camera at frame 0."""
@@ -113,7 +113,7 @@ class TurningCamera:
 
 
 def between(a: Doubles, b: Doubles, share: float) -> Doubles:
-    """The value between two: `a` for a share of 0, `b` for 1."""
+    """The interpolated value: `a` for a share of 0, `b` for 1."""
     if a.ndim == 1:
         return (1 - share) * a + share * b
     (turn_a, stretch_a), (turn_b, stretch_b) = polar(a[:3, :3]), polar(b[:3, :3])
@@ -124,14 +124,14 @@ def between(a: Doubles, b: Doubles, share: float) -> Doubles:
 
 
 def polar(matrix: Doubles) -> tuple[Doubles, Doubles]:
-    """A matrix as rotation times stretch; a mirroring goes to the stretch."""
+    """A matrix as rotation times stretch; a reflection becomes part of the stretch."""
     u, s, v = np.linalg.svd(matrix)
     sign = np.sign(np.linalg.det(u @ v))
     return sign * (u @ v), sign * (v.T @ np.diag(s) @ v)
 
 
 def turned_part(rotation: Doubles, share: float) -> Doubles:
-    """The rotation by a share of a rotation's angle, about the same axis."""
+    """The rotation by a fraction of a rotation's angle, about the same axis."""
     angle = math.acos(float(np.clip((np.trace(rotation) - 1) / 2, -1, 1)))
     if angle < 1e-9:
         return np.eye(3)

@@ -1,4 +1,4 @@
-"""Renders of the command line in rounds: what is shown, and the files that they go on from."""
+"""Renders in rounds on the command line: their progress lines, and the files that they continue from."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 __all__ = ["Passes", "seconds_of", "share_of", "status"]
 
 PREVIEW_SECONDS = 1.0
-"""The least time between two writings of the preview."""
+"""The minimum time between two writings of the preview."""
 
 CONNECTION_SECONDS = 6.0
 """The time that a scheduler has to answer."""
@@ -42,28 +42,28 @@ class Passes:
     """The options of a render in rounds."""
 
     checkpoint: Path | None
-    """The file of what exists."""
+    """The checkpoint file."""
     every: float
-    """The seconds after which it is written again."""
+    """The seconds between two writings of it."""
     resume: bool
-    """Whether to go on with that file, if it exists."""
+    """True to continue from that file, if it exists."""
     target_error: float | None
     time_budget: float | None
     adaptive: bool = False
-    """Whether there are more samples where there is more noise."""
+    """True to take more samples where there is more noise."""
     cluster: str | None = None
     """The address of a scheduler whose workers render."""
     preview: Path | None = None
-    """A picture that is written again as rounds come."""
+    """A picture that is rewritten as rounds complete."""
 
     def check(self) -> None:
         """Raise an error if options contradict each other, or the checkpoint would be lost by a new render."""
         if self.resume and self.checkpoint is None:
-            raise RenderError("--resume needs --checkpoint FILE: what to go on with")
+            raise RenderError("--resume needs --checkpoint FILE, the file to continue from")
         if self.cluster is not None and not self.cluster.strip():
             raise RenderError("--cluster takes the address of a scheduler, such as tcp://host:8786; found ''")
         if self.cluster is not None and self.adaptive:
-            raise RenderError("--adaptive needs each round for the next one, so --cluster can't share them")
+            raise RenderError("--adaptive plans each round from the previous ones, so --cluster can't distribute them")
         if self.preview is not None:
             from djpt.images.image import check_writable
 
@@ -72,7 +72,7 @@ class Passes:
             return
         check_target(self.checkpoint)
         if self.checkpoint.exists() and not self.resume:
-            raise FileError(f"'{self.checkpoint}' exists: go on with it (--resume), or remove it")
+            raise FileError(f"'{self.checkpoint}' exists: continue from it (--resume), or remove it")
 
     def render(
         self,
@@ -82,9 +82,9 @@ class Passes:
         keep_partial: bool,
         quiet: bool,
     ) -> tuple[Accumulation, int, Callable[[], None]]:
-        """What exists, the samples per pixel of it that are new, and a function to be called once it is written.
+        """The accumulation, its new samples per pixel, and a function to be called once the image is written.
 
-        The function ends a process that a signal ends. Signals write the checkpoint before they end a render.
+        The function ends the process if a signal has come. A signal ends a render only after the checkpoint is written.
         """
         import djpt
         from djpt.apps.cli.pictures import channels_for
@@ -108,7 +108,7 @@ class Passes:
                 # A round that was left has added nothing.
                 interruption.begin_part(found.spp / spp, 0)
             interruption.leave(
-                f"'{self.checkpoint}' has what exists" if self.checkpoint else "the image has what exists"
+                f"'{self.checkpoint}' holds the partial image" if self.checkpoint else "the image is partial"
             )
 
         def show() -> None:
@@ -157,7 +157,7 @@ class Passes:
 
     @contextlib.contextmanager
     def connected(self, interruption: Interruption) -> Iterator[Any]:
-        """A client of the cluster, or None where there is none to ask."""
+        """A client of the cluster, or None if no cluster is used."""
         if self.cluster is None:
             yield None
             return
@@ -183,7 +183,7 @@ class Passes:
 
 
 def at_once(interruption: Interruption, images: Iterator[Accumulation]) -> Iterator[Accumulation]:
-    """What is rendered elsewhere: signals needn't wait for it."""
+    """Images that are rendered elsewhere: signals needn't wait for them."""
     try:
         while True:
             with interruption.waiting():
@@ -196,20 +196,20 @@ def at_once(interruption: Interruption, images: Iterator[Accumulation]) -> Itera
 
 
 def unanswered(error: Exception) -> str:
-    """Why there is no connection to a scheduler."""
+    """The reason why there is no connection to a scheduler."""
     if isinstance(error, (OSError, ValueError, TypeError)) and not isinstance(error, UnicodeError):
         return reason(error)
-    return "what answers there isn't a scheduler"
+    return "the server at this address isn't a scheduler"
 
 
 def status(
     found: Accumulation, taken: int, elapsed: float, spp: int, target_error: float | None, time_budget: float | None
 ) -> str:
-    """A line about a render: what exists, how fast it is, how long it takes and why it will stop.
+    """A progress line: samples and error so far, speed, time left, and the reason for which the render will stop.
 
     Args:
-        found: What exists.
-        taken: The samples per pixel of it that were taken in `elapsed` seconds.
+        found: The accumulation so far.
+        taken: Its samples per pixel that were taken in `elapsed` seconds.
         elapsed: The time since the start.
         spp: The samples per pixel to stop at; 0: no limit.
         target_error: The relative RMSE to stop at.
@@ -235,7 +235,7 @@ def status(
 
 
 class Line:
-    """A line of a terminal that is written again and again, and is gone in the end."""
+    """A terminal line that is rewritten repeatedly, and is erased at the end."""
 
     def __init__(self, quiet: bool) -> None:
         self.visible = not quiet and has_terminal()
@@ -246,7 +246,7 @@ class Line:
             print(f"\r\x1b[2K{visible(text)}", end="", file=beneath(sys.stderr), flush=True)
 
     def announce(self, text: str) -> None:
-        """Print a line that stays, whatever is shown."""
+        """Print a line that stays, above the status line."""
         self.show("")
         announce(f"djpt: {text}")
 

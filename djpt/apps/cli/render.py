@@ -131,7 +131,7 @@ def command(
     if denoise and rfilter is None:
         rfilter = "box"
     if raw is not None and not denoise:
-        raise RenderError("--raw keeps what --denoise starts from: give both, or --output alone")
+        raise RenderError("--raw writes the input of --denoise: give both, or --output alone")
     description = override(description, width=width, height=height, rfilter=rfilter, integrator=integrator)
     loaded = djpt.load_dict(description)
     settings = RenderSettings.of(loaded, sensor, seed=seed, spp=spp or 0, schedule=schedule)

@@ -21,7 +21,7 @@ __all__ = ["command"]
 @options.integrator
 @click.option("--sensor", type=click.IntRange(min=0), default=0, help="Index of the sensor, from 0.")
 @click.option("--port", type=click.IntRange(0, 65535), default=8642, help="Port of the page. 0: any free port.")
-@click.option("--host", default="127.0.0.1", help="Address to listen at, such as 0.0.0.0: all interfaces.")
+@click.option("--host", default="127.0.0.1", help="Address to listen on, such as 0.0.0.0 for all interfaces.")
 @click.option("--open", "opens", is_flag=True, help="Open the page in the browser.")
 @options.define
 @options.quiet
@@ -43,7 +43,7 @@ def command(
     """Show SCENE on a page while it is rendered.
 
     The mouse moves the camera, sliders change parameters; the scene is reloaded when its files change. Press Ctrl-C to
-    stop. The address of the page contains a secret: whoever knows it can look, and change values.
+    stop. The address of the page contains a secret: anyone who knows it can view the page and change values.
     """
     from djpt.apps.viewer.server import Server
     from djpt.apps.viewer.session import Session
@@ -58,7 +58,7 @@ def command(
     with Server(port, host) as server:
         session = Session(describe, sensor, spp, seed, server.publish, server.tell)
         if not quiet:
-            print(f"{server.url} shows {visible(scene)}; Ctrl-C ends it", flush=True)
+            print(f"{server.url} shows {visible(scene)}; press Ctrl-C to stop", flush=True)
         if opens:
             click.launch(server.url)
         session.run(server.inbox)

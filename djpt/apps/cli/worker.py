@@ -17,10 +17,10 @@ from djpt.errors import BackendError, RenderError
 __all__ = ["command"]
 
 CONNECTION_SECONDS = 6.0
-"""The time that a scheduler has to answer a worker that comes."""
+"""The time that a scheduler has to answer a new worker."""
 
 LEAVING_SECONDS = 10.0
-"""The time that it has to take what a worker that leaves has."""
+"""The time that it has to take over the results of a leaving worker."""
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
@@ -69,12 +69,12 @@ def command(
         raise RenderError(f"can't work for '{scheduler}': {error}") from None
     except RuntimeError as error:  # by which distributed hides why a worker hasn't started
         cause = error.__cause__
-        why = reason(cause) if isinstance(cause, OSError) else "what answers there isn't a scheduler"
+        why = reason(cause) if isinstance(cause, OSError) else "the server at this address isn't a scheduler"
         raise RenderError(f"can't work for '{scheduler}': {why}") from None
 
 
 async def work(worker: Any) -> None:
-    """Let a worker work until it has ended or a signal comes; a signal that comes before it has started ends it."""
+    """Run a worker until it ends or a signal arrives; a signal that arrives during startup ends it, too."""
     signals: asyncio.Queue[int] = asyncio.Queue()
 
     def note(number: int) -> None:

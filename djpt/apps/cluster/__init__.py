@@ -1,4 +1,4 @@
-"""Many machines: renders and gradients as tasks of `dask.distributed`, with the same bits as on one.
+"""Renders and gradients on many machines, as tasks of `dask.distributed`, bit-identical to those on one machine.
 
 client = distributed.Client("tcp://scheduler:8786")
 for found in djpt.apps.cluster.render_passes(client, description, spp=4096): ...

@@ -1,4 +1,4 @@
-"""Bundles: a scene with its files, as it travels to workers."""
+"""Bundles: a scene together with its files, as sent to workers."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ class Bundle:
     """A description and the contents of the files that it names."""
 
     key: str
-    """A hash of all of it."""
+    """A hash of the description and the files."""
     description: bytes
-    """The description, pickled: workers trust who gives them work, as `dask.distributed` makes them do."""
+    """The description, pickled: workers trust whoever sends them tasks, as `dask.distributed` requires."""
     files: Mapping[str, tuple[str, bytes]]
     """By the name in the description: the file's name here, a hash with its extension, and its contents."""
 
@@ -35,13 +35,13 @@ class Bundle:
         """Pack a description.
 
         Raises:
-            SceneError: It holds things that can't travel, such as plugins that are loaded already.
+            SceneError: It holds objects that can't be sent, such as plugins that are already loaded.
             FileError: A file can't be read.
         """
         try:
             packed = pickle.dumps(description)
         except Exception as error:  # whatever an object raises that can't be pickled
-            raise SceneError(f"the scene can't travel to workers: {error}; describe it by a dict or a file") from None
+            raise SceneError(f"the scene can't be sent to workers: {error}; describe it as a dict or a file") from None
         files = {}
         for name, path in named_files(description).items():
             contents = read_bytes(path)
@@ -54,10 +54,10 @@ class Bundle:
     def loaded(self) -> Scene:
         """The scene.
 
-        Its files are written into a new folder that only this user can enter, and are gone once they are read.
+        Its files are written into a new folder that only this user can access, and are deleted once they are read.
 
         Raises:
-            FileError: The contents of a file aren't those that were packed, or can't be written.
+            FileError: The contents of a file differ from those that were packed, or can't be written.
             SceneError: The scene is wrong.
         """
         with tempfile.TemporaryDirectory(prefix="djpt-cluster-", ignore_cleanup_errors=True) as folder:
@@ -67,12 +67,12 @@ class Bundle:
         """The description, naming files that are written into a folder.
 
         Raises:
-            FileError: The contents of a file aren't those that were packed, or can't be written.
+            FileError: The contents of a file differ from those that were packed, or can't be written.
         """
         places = {}
         for name, (stored, contents) in self.files.items():
             if stored != named(contents, Path(name).suffix):
-                raise FileError(f"'{shortened(name)}' has changed on its way: its contents aren't those of its hash")
+                raise FileError(f"'{shortened(name)}' was corrupted in transit: its contents don't match their hash")
             with writing(folder / stored) as temporary:
                 temporary.write_bytes(contents)
             places[name] = str(folder / stored)

@@ -34,7 +34,7 @@ def gradient(
 
     Args:
         client: A `distributed.Client`.
-        description: The scene's dict. It travels to a worker once; later calls with the same one find it there.
+        description: The scene's dict. It travels to a worker once; later calls with the same dict reuse it.
         parameters: The values of some parameters of `djpt.traverse`, by name, in place of the scene's: arrays.
         loss: Called on workers with an image (attached to the parameters) and the number of its view; gives a number
             on Dr.Jit's side, such as ``dr.mean(dr.square(image - targets[view]), axis=None)``. It travels with what
@@ -53,9 +53,9 @@ def gradient(
     """
     require_client(client)
     if not parameters:
-        raise ParameterError("'parameters' must have the parameters to differentiate by, found none")
+        raise ParameterError("'parameters' must hold the parameters to differentiate with respect to, found none")
     if not views:
-        raise RenderError("'views' must have the number of a sensor at least, found none")
+        raise RenderError("'views' must hold the number of at least one sensor, found none")
     spp, seed = check_count("spp", spp), check_seed("seed", seed)
     values = {key: np.array(value) for key, value in parameters.items()}
 

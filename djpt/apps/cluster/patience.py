@@ -1,4 +1,4 @@
-"""Waiting for others, but not for ever, as `distributed` waits for who is there and says nothing."""
+"""Waiting with a time limit: `distributed` itself waits forever for a peer that is connected but silent."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ T = TypeVar("T")
 
 
 class Question(Generic[T]):
-    """A call that runs in a thread of its own, and is left alone there if it takes too long."""
+    """A call that runs in a thread of its own and is abandoned there if it takes too long."""
 
     def __init__(self, ask: Callable[[], T]) -> None:
         self._ask = ask
@@ -28,19 +28,19 @@ class Question(Generic[T]):
             self._raised.append(error)
 
     def ended(self, seconds: float) -> bool:
-        """Wait for the answer for some time; whether it is there."""
+        """Wait for the answer for at most `seconds`; True if it has arrived."""
         self._thread.join(seconds)
         return not self._thread.is_alive()
 
     def answer(self) -> T:
-        """What the call has given, or raised, once it has ended."""
+        """The result of the call, or the exception that it raised, once it has ended."""
         if self._raised:
             raise self._raised[0]
         return self._found[0]
 
 
 def within(seconds: float, ask: Callable[[], T]) -> T:
-    """What a call gives; raises `TimeoutError` if it takes longer than some time."""
+    """The result of a call; raises `TimeoutError` if it takes longer than `seconds`."""
     question = Question(ask)
     if not question.ended(seconds):
         raise TimeoutError(f"no answer in {seconds:g} s")

@@ -32,31 +32,31 @@ def render_passes(
     schedule: str = "auto",
     on_wait: Callable[[str], None] = warn,
 ) -> Iterator[Accumulation]:
-    """Render in rounds on the workers of a cluster, and give what exists after each, as `djpt.render_passes` does.
+    """Render in rounds on the workers of a cluster, yielding the image so far after each, as `djpt.render_passes` does.
 
     Rounds are tasks, added up in the order of their numbers: the image has the bits of `djpt.render_passes` on one
     machine, with any number of workers that have its processor's vector width. A worker that dies, stops, hangs or
-    comes late changes nothing but the time. The scene travels once to each worker, with the files that it names.
+    joins late changes only the time taken. The scene is sent once to each worker, with the files that it names.
 
     Args:
         client: A `distributed.Client`.
         description: The scene's dict, or what `djpt.scenes.overrides.described` makes of a file. It is loaded
-            here as well. Edits by `djpt.traverse` don't travel.
+            here as well. Edits by `djpt.traverse` aren't sent.
         sensor: The number of the scene's sensor.
         seed: As for `djpt.render_passes`, and so are the arguments that follow.
         spp: Samples per pixel.
-        round_spp: Samples per pixel of a round. Rounds are what workers share: as many as there are workers at least.
+        round_spp: Samples per pixel of a round. Rounds are distributed over the workers: use at least as many.
         target_error: Stop at this relative RMSE.
-        time_budget: Stop after so many seconds.
-        resume_from: What to go on with.
+        time_budget: Stop after this many seconds.
+        resume_from: The accumulation to continue from.
         schedule: How lanes are filled.
         on_wait: Called with a message if there are no workers for five seconds, or the scheduler doesn't answer for
-            ten; the render goes on when they do. Default: a `RuntimeWarning`.
+            ten; the render continues once they return. Default: a `RuntimeWarning`.
 
     Raises:
         BackendError: `distributed` is missing, or a worker has another version of djpt or Dr.Jit.
-        RenderError: Arguments are out of range, a task ends its workers again and again, or the scheduler is gone.
-        SceneError: The scene is wrong, or holds what can't travel.
+        RenderError: Arguments are out of range, a task repeatedly kills its workers, or the scheduler is gone.
+        SceneError: The scene is wrong, or holds objects that can't be sent.
     """
     require_client(client)
     bundle = Bundle.of(description)
@@ -80,7 +80,7 @@ def render_passes(
 
 
 class SharedImage(EvenImage):
-    """An image whose rounds come from workers, in their order."""
+    """An image whose rounds come from workers, in order."""
 
     results: Iterator[Any]
 
@@ -94,7 +94,7 @@ class SharedImage(EvenImage):
 
 
 def closing(images: Iterator[Accumulation], results: Any) -> Iterator[Accumulation]:
-    """The images; the tasks that nobody needs any more are cancelled in the end."""
+    """The images; tasks that are no longer needed are cancelled at the end."""
     try:
         yield from images
     finally:

@@ -1,4 +1,4 @@
-"""Tasks whose results are taken in order, while workers come, go and stop."""
+"""Tasks whose results are taken in order, while workers join, leave and stop."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ from djpt.errors import BackendError, DjptError, RenderError
 __all__ = ["InOrder", "require_client", "warn"]
 
 AHEAD = 2
-"""Tasks for each worker that are begun before their turn."""
+"""The number of tasks per worker that are started ahead of their turn."""
 
 ATTEMPTS = 10
-"""How often a task is given to workers that die before it is taken for deadly."""
+"""The number of workers that may die from a task before it is considered fatal."""
 
 LOOK_SECONDS = 1.0
-"""The time between two looks at the workers while nothing comes."""
+"""The time between two checks of the workers while no result arrives."""
 
 PATIENCE = 5.0
-"""Seconds without a worker, or without a scheduler, after which that is told."""
+"""Seconds without a worker or a scheduler after which this is reported."""
 
 SILENCE = 10.0
-"""Seconds without a sign of life after which a worker counts as stopped. Workers give one every few seconds."""
+"""Seconds without a heartbeat after which a worker counts as stopped. Workers send one every few seconds."""
 
 
 GONE = "the scheduler of the cluster is gone"
 
 
 class Attempt(NamedTuple):
-    """A task that has been given to workers."""
+    """A task that has been submitted to workers."""
 
     future: Any
     allowed: frozenset[str] | None
@@ -44,19 +44,19 @@ class Attempt(NamedTuple):
 
 
 class InOrder:
-    """Runs numbered tasks on the workers of a client, and gives their results in the order of the numbers.
+    """Runs numbered tasks on the workers of a client, and yields their results in the order of the numbers.
 
-    A task that is lost with its worker is run again, by the scheduler, or from here if it has given up. What a worker
-    has that gives no sign of life, since it is stopped or hangs, is given to the others as well; the first result
-    counts, as all are the same. There are as many results ahead of their turn as `AHEAD` allows, so that memory doesn't
-    grow with the number of tasks.
+    A task that is lost with its worker is run again, by the scheduler, or by this class if the scheduler has given up.
+    The tasks of a worker that sends no heartbeat, because it is stopped or hangs, are also submitted to the others;
+    the first result counts, as all are equal. At most `AHEAD` results per worker are computed ahead of their turn, so
+    that memory doesn't grow with the number of tasks.
 
     Args:
         client: a `distributed.Client`.
         bundle: the scene.
         work: called on workers with (bundle, *arguments).
         arguments: those of the task with a number.
-        on_wait: told once why nothing comes, if there are no workers or the scheduler doesn't answer.
+        on_wait: called once with the reason for waiting, if there are no workers or the scheduler doesn't answer.
     """
 
     def __init__(
@@ -76,7 +76,7 @@ class InOrder:
         self._submissions = 0
         self._watch = Watch()
         self._silent = False
-        """Whether the scheduler doesn't answer."""
+        """True if the scheduler doesn't answer."""
         self._came = threading.Event()
         """Set when a task has ended."""
         self._software = software()
@@ -111,7 +111,7 @@ class InOrder:
             yield from attempts
 
     def _look(self) -> frozenset[str]:
-        """The workers there are, which the watch sees, or if the scheduler says nothing has seen."""
+        """The current workers, noted by the watch; if the scheduler doesn't answer, those that it knew last."""
         self._require_scheduler()
         try:
             found = within(SILENCE, lambda: self._client.scheduler_info(n_workers=-1))
@@ -127,7 +127,7 @@ class InOrder:
     # ---- giving ------------------------------------------------------------------------------
 
     def _submit(self, number: int) -> None:
-        """Give a task to any worker, or if some are stopped to the others."""
+        """Submit a task to any worker, or if some have stopped, to the others."""
         allowed = self._watch.live if self._watch.stopped else None
         self._submissions += 1
         options = {} if allowed is None else {"workers": sorted(allowed)}
@@ -148,7 +148,7 @@ class InOrder:
         self._attempts.setdefault(number, []).append(Attempt(future, allowed))
 
     def _give_again(self) -> None:
-        """Give the tasks that stopped workers may have to the others."""
+        """Resubmit the tasks that stopped workers may hold to the others."""
         if not self._watch.live:
             return
         for number, attempts in list(self._attempts.items()):
@@ -174,19 +174,21 @@ class InOrder:
                 self._require_scheduler()
                 killed += 1
                 if killed == ATTEMPTS:
-                    raise RenderError(f"a task has ended {ATTEMPTS} workers, the last time with: {error}") from None
+                    raise RenderError(f"a task has killed {ATTEMPTS} workers, the last one with: {error}") from None
                 self._retry(number, attempt)
                 continue
             except DjptError as error:
                 raise type(error)(f"on a worker: {error}") from None
             if answer.software != self._software:
-                raise BackendError(f"a worker has {answer.software}, here is {self._software}: results would differ")
+                raise BackendError(
+                    f"a worker runs {answer.software}, this process runs {self._software}: results would differ"
+                )
             for ended in self._attempts.pop(number):
                 ended.future.release()
             return answer.value
 
     def _fetched(self, question: Question[Answer], attempt: Attempt) -> bool:
-        """Wait for a result to arrive; whether it does: a worker that has stopped keeps what it has found."""
+        """Wait for a result to arrive; False if it doesn't, since a stopped worker doesn't send its results."""
         while not question.ended(LOOK_SECONDS):
             self._look()
             if self._watch.live and not self._watch.trusts(attempt.allowed):
@@ -194,14 +196,14 @@ class InOrder:
         return True
 
     def _retry(self, number: int, attempt: Attempt) -> None:
-        """Do without an attempt that has failed."""
+        """Discard an attempt that has failed."""
         self._attempts[number].remove(attempt)
         attempt.future.release()
         if not self._attempts[number]:
             self._submit(number)
 
     def _ended(self, number: int) -> Attempt:
-        """An attempt at a task that has ended, well or not; waits for one."""
+        """An attempt at a task that has ended, successfully or not; waits for one."""
         start, told = time.monotonic(), False
         while True:
             self._came.clear()
@@ -228,21 +230,21 @@ class InOrder:
 
 
 class Watch:
-    """Which workers live and which have stopped, by the times of their last signs of life.
+    """The sets of live and of stopped workers, by the times of their last heartbeats.
 
     These are the scheduler's: only whether they change counts here, as clocks of machines differ.
     """
 
     def __init__(self) -> None:
         self.live: frozenset[str] = frozenset()
-        """The addresses of workers that give signs of life."""
+        """The addresses of workers that send heartbeats."""
         self.stopped: frozenset[str] = frozenset()
-        """Those of workers that the scheduler has, but that give none."""
+        """Those of workers that the scheduler lists, but that send none."""
         self._signs: dict[str, tuple[float, float]] = {}
-        """By address the last sign of life, and when it was seen first."""
+        """By address: the last heartbeat, and when it was first seen."""
 
     def look(self, workers: dict[str, Any]) -> None:
-        """Take note of what the scheduler knows of its workers."""
+        """Record what the scheduler knows about its workers."""
         now = time.monotonic()
         signs = {address: float(worker["last_seen"]) for address, worker in workers.items()}
         old = self._signs
@@ -254,19 +256,19 @@ class Watch:
         self.live = frozenset(signs) - self.stopped
 
     def trusts(self, allowed: frozenset[str] | None) -> bool:
-        """Whether a task that only some workers may run is with one that lives; None: any worker may."""
+        """True if a task restricted to some workers may run on a live one; None: any worker may run it."""
         if allowed is None:
             return not self.stopped
         return bool(allowed & self.live) and not allowed & self.stopped
 
 
 def warn(message: str) -> None:
-    """Give a warning of Python's, from whoever called djpt."""
+    """Issue a Python warning, attributed to the caller of djpt."""
     warnings.warn(message, RuntimeWarning, stacklevel=2)
 
 
 def identity(bundle: Bundle) -> Bundle:
-    """The bundle itself, as a result that lives on workers and can be computed again."""
+    """The bundle itself, as a result that is kept on workers and can be recomputed."""
     return bundle
 
 

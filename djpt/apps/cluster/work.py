@@ -1,4 +1,4 @@
-"""What workers do: load a scene once, render rounds of it, differentiate images of it."""
+"""The work done by workers: loading a scene once, rendering rounds of it, differentiating images of it."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ from djpt.version import __version__
 __all__ = ["Answer", "differentiated", "rendered", "software"]
 
 KEPT = 4
-"""Scenes that a worker keeps, those used last."""
+"""The number of scenes that a worker keeps, the most recently used ones."""
 
 one_at_a_time = threading.Lock()
-"""Held while something is rendered: Dr.Jit's threads work for one task, whatever threads the worker has."""
+"""Held while something is rendered: Dr.Jit's threads work on one task at a time, whatever threads the worker has."""
 
 # A task is a function and its arguments: what a worker keeps from one to the next can only be kept by its process.
 
@@ -40,19 +40,19 @@ begun: dict[tuple[str, int, int, str], Rounds] = {}
 
 @dataclass(frozen=True)
 class Answer:
-    """The result of a task, and what made it."""
+    """The result of a task, and the software that computed it."""
 
     value: Any
     software: str
 
 
 def software() -> str:
-    """What bits depend on: versions, and the width of vectors."""
+    """Everything that the bits of a result depend on: versions, and the vector width."""
     return f"djpt {__version__}, drjit {version('drjit')}, {lane_count()} lanes"
 
 
 def scene_of(bundle: Bundle) -> Scene:
-    """The scene of a bundle, loaded when it is first asked for."""
+    """The scene of a bundle, loaded on first use."""
     if bundle.key not in loaded:
         loaded[bundle.key] = bundle.loaded()
     loaded.move_to_end(bundle.key)
@@ -80,7 +80,7 @@ def differentiated(
     spp: int,
     seed: int,
 ) -> Answer:
-    """The loss of one view, and its derivatives by parameters: (float, arrays by name)."""
+    """The loss of one view, and its derivatives with respect to the parameters: (float, arrays by name)."""
     with one_at_a_time:
         scene = scene_of(bundle)
         params = djpt.traverse(scene)

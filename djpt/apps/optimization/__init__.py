@@ -1,4 +1,4 @@
-"""Parameters of scenes from pictures: `optimize`, a thin layer over `drjit.opt`, and how sure its results are."""
+"""Parameters of scenes from pictures: `optimize`, a thin layer over `drjit.opt`, and the uncertainty of its results."""
 
 from djpt.apps.optimization.confidence import Confidence, confidence
 from djpt.apps.optimization.gauss_newton import GaussNewton

@@ -1,4 +1,4 @@
-"""Bounds that the meaning of a parameter sets."""
+"""Bounds that follow from the meaning of a parameter."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ OF_KIND: dict[str, Bounds] = {
     "shape": ANY,
     "sensor": ANY,
 }
-"""The bounds of parameters, by the innermost plugin of one of these kinds that they belong to."""
+"""The bounds of parameters, by the kind of the innermost plugin among these that they belong to."""
 
 BY_NAME: dict[tuple[str, str], Bounds] = {
     ("bsdf", "eta"): POSITIVE,
@@ -43,9 +43,9 @@ def usual_bounds(params: SceneParameters, key: str) -> Bounds:
     * of materials: 0 to 1, as for albedos and roughness; indices of refraction, `eta` and `k`: 0 to infinity;
     * of lights: 0 to infinity; of media likewise, but for their `albedo`, 0 to 1; `g` of a phase function: -0.999 to
       0.999;
-    * of shapes and sensors, and transforms: any.
+    * of shapes and sensors, and transforms: unbounded.
 
-    What a texture or a volume holds belongs to the plugin that uses it.
+    The values of a texture or a volume count as those of the plugin that uses it.
 
     Raises:
         ParameterError: There is no such parameter.

@@ -1,4 +1,4 @@
-"""The accuracy with which images determine parameters: standard errors, and combinations that no image tells apart."""
+"""The accuracy with which images determine parameters: standard errors, and undetermined combinations."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ __all__ = ["MOST", "Confidence", "confidence"]
 Doubles = npt.NDArray[np.float64]
 
 MOST = 64
-"""The entries of all parameters together that derivative images are rendered for."""
+"""The maximum number of entries, of all parameters together, for which derivative images are rendered."""
 
 UNSEEN = 1e-6
-"""Combinations whose curvature is below this share of the largest are taken for undetermined."""
+"""Combinations whose curvature is below this share of the largest are considered undetermined."""
 
 
 @dataclass(frozen=True)
@@ -34,11 +34,11 @@ class Confidence:
 
     With the derivative images J of all entries, the curvature of the loss mean((I - T)^2) is H = 2 J^T J / pixels
     (Gauss and Newton). A stochastic gradient of covariance S moves the minimum by H^-1 S H^-1 in covariance; averaged
-    over n independent gradients, by an n-th of that.
+    over n independent gradients, by 1/n of that.
 
     * `names`: one for each entry, ``key[i]``.
     * `errors`: the standard error of each entry from the gradients' noise, infinite where nothing is determined.
-    * `curvatures`: the eigenvalues of H, ascending, and `combinations`, the eigenvectors, one in each row: a row of
+    * `curvatures`: the eigenvalues of H, ascending, and `combinations`, the eigenvectors, one in each row: a row with
       small curvature is a change of the parameters that hardly changes the pictures.
     """
 
@@ -49,13 +49,13 @@ class Confidence:
 
     @property
     def condition(self) -> float:
-        """The largest curvature divided by the smallest: how much better some combinations are seen than others."""
+        """The largest curvature divided by the smallest: the ratio of the best to the worst determined combination."""
         low = float(self.curvatures[0])
         return float(self.curvatures[-1]) / low if low > 0 else math.inf
 
     @property
     def undetermined(self) -> list[dict[str, float]]:
-        """Combinations that no picture tells apart: the share of each entry, by name."""
+        """Combinations that the pictures don't determine: the share of each entry, by name."""
         least = UNSEEN * float(self.curvatures[-1])
         rows = [row for value, row in zip(self.curvatures, self.combinations, strict=True) if value <= least]
         return [dict(zip(self.names, row.tolist(), strict=True)) for row in rows]
@@ -81,7 +81,7 @@ def confidence(
     averaged: int = 1,
     seed: int = 0,
 ) -> Confidence:
-    """Estimate how well parameters are determined by pictures, at the values that the scene has now.
+    """Estimate how well pictures determine parameters, at the scene's current values.
 
     Args:
         scene: What `load_dict` returned, at the result of an optimisation.
@@ -89,8 +89,8 @@ def confidence(
         targets: The pictures, (H, W, C) each.
         views: The numbers of their sensors; by default 0, 1, ..
         spp: Samples per pixel of the derivative images and of each gradient.
-        gradients: How many gradients their covariance is estimated from.
-        averaged: How many gradients the result comes from, n above: about the iterations near the minimum.
+        gradients: The number of gradients from which their covariance is estimated.
+        averaged: The number of gradients behind the result, n above: about the number of iterations near the minimum.
         seed: Of all renders.
 
     Raises:
@@ -121,7 +121,7 @@ def confidence(
 def derivative_images(
     scene: Scene, params: SceneParameters, sizes: Mapping[str, int], view: int, spp: int, seed: int
 ) -> list[Doubles]:
-    """The derivatives of an image by each entry, by forward mode."""
+    """The derivatives of an image with respect to each entry, by forward mode."""
     found = []
     for key, size in sizes.items():
         for i in range(size):
@@ -147,7 +147,7 @@ def gradient(
     spp: int,
     seed: int,
 ) -> Doubles:
-    """The gradient of the loss by all entries, with its noise."""
+    """The gradient of the loss with respect to all entries, noise included."""
     for key in sizes:
         params[key] = type(params[key])(dr.detach(params[key]))
         dr.enable_grad(params[key])

@@ -1,4 +1,4 @@
-"""The curvature of a search: one bound for each view, measured again now and then."""
+"""The curvature of a search: one bound for each view, remeasured periodically."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["Curvatures"]
 Doubles = npt.NDArray[np.float64]
 
 USES = 8
-"""The uses of a view's curvature before it is measured again: derivatives change with the parameters."""
+"""The number of uses of a view's curvature before it is remeasured: derivatives change with the parameters."""
 
 
 class Curvatures:
@@ -20,7 +20,7 @@ class Curvatures:
 
     Args:
         views: the numbers of the sensors.
-        measured: gives the bounds of a view by the names of the variables; called with the view and the number of the
+        measured: returns the bounds of a view by the names of the variables; called with the view and the number of the
             measurement.
     """
 
@@ -30,15 +30,15 @@ class Curvatures:
         self._uses = dict.fromkeys(views, 0)
 
     def forget(self) -> None:
-        """Measure all views again before they are used."""
+        """Remeasure all views before they are next used."""
         self._bounds = {}
         self._uses = dict.fromkeys(self._uses, 0)
 
     def of(self, views: Sequence[int]) -> tuple[dict[str, Doubles], bool]:
-        """A bound on the mean loss of any views, as many as these, and whether one of these was measured for it.
+        """A bound on the curvature of the mean loss of as many views as these; True if one of these was measured now.
 
-        It is the mean of the largest bounds of single views, for each entry: what some views don't show at all isn't
-        changed too much when others are looked at.
+        It is the mean of the largest bounds of single views, for each entry: entries that some views don't
+        show at all then don't change too much when other views are used.
         """
         due = [view for view in dict.fromkeys(views) if self._uses[view] % USES == 0]
         for view in due:
@@ -51,7 +51,7 @@ class Curvatures:
         return {name: stack[-len(set(views)) :].mean(axis=0) for name, stack in stacks.items()}, bool(due)
 
     def arrays(self) -> dict[str, npt.NDArray[np.generic]]:
-        """All that is known, to be kept in a file."""
+        """The complete state, to be stored in a file."""
         found: dict[str, npt.NDArray[np.generic]] = {"measurements": np.array(self._measurements)}
         found |= {f"uses:{view}": np.array(uses) for view, uses in self._uses.items()}
         for view, bounds in self._bounds.items():
@@ -59,7 +59,7 @@ class Curvatures:
         return found
 
     def restore(self, arrays: Mapping[str, npt.NDArray[np.generic]]) -> None:
-        """Take back what `arrays` gave."""
+        """Restore the state that `arrays` returned."""
         self.forget()
         bounds: dict[int, dict[str, Doubles]] = {}
         for key, array in arrays.items():

@@ -1,4 +1,4 @@
-"""`GaussNewton`: steps divided by the curvature of squared losses, so that they need no rate found by trial."""
+"""`GaussNewton`: steps divided by the curvature of squared losses, so that no rate has to be tuned."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ RATE = 1.6
 """The default step. Losses that are quadratic converge with rates below 2 (1 + momentum)."""
 
 MOMENTUM = 0.3
-"""The default share of a step that the next one repeats."""
+"""The default fraction of a step that the next one repeats."""
 
 DAMPING = 1e-2
-"""The share of a parameter's largest curvature that is added to all: entries that are hardly seen take small steps."""
+"""The share of a parameter's largest curvature that is added to all: entries of little effect take small steps."""
 
 
 class GaussNewton(drjit.opt.Optimizer[tuple[Any, Any, Any]]):
@@ -35,9 +35,9 @@ class GaussNewton(drjit.opt.Optimizer[tuple[Any, Any, Any]]):
     the rows of the Gauss-Newton matrix, or more where its terms cancel. D - 2 J^T J / n has no negative eigenvalue
     therefore, and steps of rate 1 never raise a quadratic loss: D is that of a separable surrogate (De Pierro, "A
     Modified Expectation Maximization Algorithm for Penalized Likelihood Estimation in Emission Tomography", IEEE
-    Transactions on Medical Imaging 14, 1995). Momentum makes up for what a diagonal can't know (Polyak 1964).
+    Transactions on Medical Imaging 14, 1995). Momentum makes up for what a diagonal can't represent (Polyak 1964).
 
-    It has the verbs of the optimisers of `drjit.opt`, and one more, `measure`::
+    It has the methods of the optimisers of `drjit.opt`, and one more, `measure`::
 
         optimizer = GaussNewton(params={key: params[key]})
 
@@ -68,18 +68,18 @@ class GaussNewton(drjit.opt.Optimizer[tuple[Any, Any, Any]]):
         super().__init__(lr, params)
 
     def measure(self, *residuals: Residual, scales: Mapping[str, float] | None = None) -> None:
-        """Measure the curvature of a loss, the sum of the mean squares of residuals, where the variables are now.
+        """Measure the curvature of a loss, the sum of the mean squares of residuals, at the variables' current values.
 
         Args:
             residuals: Called with the variables, twice or more often.
-            scales: How large changes of each variable are in proportion to those of others; by default 1.
+            scales: The relative sizes of changes of each variable; by default 1.
         """
         variables = dict(self.items())
         found = [majorant(variables, residual, scales or {}) for residual in residuals]
         self.precondition({name: np.sum([one[name] for one in found], axis=0) for name in variables})
 
     def precondition(self, curvatures: Mapping[str, Doubles]) -> None:
-        """Divide by these curvatures from now on, and by a little more."""
+        """Divide by these curvatures, slightly increased, from now on."""
         for name, curvature in curvatures.items():
             value, promoted, rate, (before, gradient, old) = self.state[name]
             damped = curvature + DAMPING * np.max(curvature)
@@ -90,7 +90,7 @@ class GaussNewton(drjit.opt.Optimizer[tuple[Any, Any, Any]]):
     def growth(self) -> float:
         """The change of the gradient over the last step, as a share of the change that the curvature allows.
 
-        It is at most 1 for quadratic losses: more says that the curvature has grown, and must be measured anew; 0 as
+        It is at most 1 for quadratic losses: more means that the curvature has grown and must be remeasured; 0 as
         long as no step was taken.
         """
         change = allowed = 0.0
@@ -104,7 +104,7 @@ class GaussNewton(drjit.opt.Optimizer[tuple[Any, Any, Any]]):
         """Take a step; arguments as those of `drjit.opt.Optimizer.step`.
 
         Raises:
-            RenderError: No curvature was measured, or none was found since nothing depends on the variables.
+            RenderError: No curvature was measured, or it is zero because nothing depends on the variables.
         """
         if not any(np.any(np.array(extra[2])) for _, _, _, extra in self.state.values()):
             raise RenderError(
@@ -131,9 +131,9 @@ class GaussNewton(drjit.opt.Optimizer[tuple[Any, Any, Any]]):
 def majorant(variables: Mapping[str, Any], residual: Residual, scales: Mapping[str, float]) -> dict[str, Doubles]:
     """The bound 2 |J|^T |J| s / (n s) on the curvature of a mean of n squares, for changes of relative size s.
 
-    |J| is known by its product with s: one forward derivative for each variable, and one reverse derivative, or one
-    for each variable if some derivatives are negative. It is exact if the derivatives of one residual by the entries
-    of one variable have the same sign, as those of pixels by albedos.
+    Only the product |J| s is needed: one forward derivative for each variable, and one reverse derivative, or one
+    for each variable if some derivatives are negative. It is exact if the derivatives of one residual with respect
+    to the entries of one variable have the same sign, as those of pixels with respect to albedos do.
 
     Args:
         variables: by name.
@@ -162,7 +162,7 @@ def majorant(variables: Mapping[str, Any], residual: Residual, scales: Mapping[s
 
 
 def enabled(variables: Mapping[str, Any], names: list[str]) -> dict[str, Any]:
-    """The variables, of which those of these names have gradients."""
+    """The variables, with gradients enabled for those of these names."""
     result = {}
     for name, value in variables.items():
         result[name] = type(value)(value)
@@ -177,5 +177,5 @@ def filled(like: Any, number: float) -> Any:
 
 
 def doubles(value: Any) -> Doubles:
-    """An array in the precision in which products of small differences are added."""
+    """An array in double precision, in which products of small differences are added up."""
     return np.array(dr.detach(value), np.float64)

@@ -1,4 +1,4 @@
-"""A search while it runs: its loss, its parameters, and its images beside their targets."""
+"""The live display of a search: its loss, its parameters, and its images beside their targets."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from djpt.rendering.progress import running_notebook
 __all__ = ["LiveSearch", "curve", "markup", "shown_live", "sparkline"]
 
 INTERVAL = 0.5
-"""The least time between two pictures, in seconds."""
+"""The minimum time between two displays, in seconds."""
 
 BARS = "▁▂▃▄▅▆▇█"
 WIDTH, HEIGHT = 320, 80
-"""The size of the curve of losses, in pixels."""
+"""The size of the loss curve, in pixels."""
 
 FEW = 8
-"""Parameters of at most so many numbers are shown in figures."""
+"""Parameters of at most this many numbers are shown as text."""
 
 
 class Iteration(Protocol):
@@ -45,7 +45,7 @@ class Iteration(Protocol):
 
 @contextlib.contextmanager
 def shown_live(live: bool, losses: Sequence[float]) -> Iterator[LiveSearch | None]:
-    """Give what is to be called after each iteration of a search that is to be seen; None for others."""
+    """Provide the callback that displays a search after each iteration; None if it isn't to be shown."""
     shows = LiveSearch(losses) if live else None
     try:
         yield shows
@@ -60,7 +60,7 @@ class LiveSearch:
     Elsewhere nothing is shown.
 
     Args:
-        losses: those of the iterations before.
+        losses: those of earlier iterations.
     """
 
     def __init__(self, losses: Sequence[float] = ()) -> None:
@@ -69,7 +69,7 @@ class LiveSearch:
         self._done: Iteration | None = None
 
     def __call__(self, done: Iteration) -> None:
-        """Take note of an iteration, and show it if the last one was shown long enough."""
+        """Record an iteration, and show it if the last one was shown long enough."""
         self._losses.append(done.loss)
         self._done = done
         if time.perf_counter() - self._shown < INTERVAL:
@@ -81,7 +81,7 @@ class LiveSearch:
         self._shown = time.perf_counter()
 
     def end(self) -> None:
-        """Show the last iteration, and leave the line of the terminal."""
+        """Show the last iteration, and end the terminal line."""
         if self._done is not None and running_notebook():
             displayed(markup(self._done, self._losses), self._handle)
         elif self._done is not None and sys.stderr is not None and sys.stderr.isatty():
@@ -102,7 +102,7 @@ def displayed(text: str, handle: Any) -> Any:
 
 
 def markup(done: Iteration, losses: Sequence[float]) -> str:
-    """A search as HTML that needs nothing else: the curve, the parameters, a row of pictures for each view."""
+    """A search as self-contained HTML: the curve, the parameters, a row of pictures for each view."""
     rows = []
     for key, value in done.values.items():
         numbers = np.array(value, np.float64).ravel()
@@ -150,5 +150,5 @@ def curve(losses: Sequence[float]) -> str:
 
 
 def sparkline(losses: Sequence[float], width: int = 24) -> str:
-    """The last losses as bars of a line of text, on a logarithmic scale."""
+    """The latest losses as bars in a line of text, on a logarithmic scale."""
     return "".join(BARS[round(y * (len(BARS) - 1))] for y in heights(losses[-width:]))

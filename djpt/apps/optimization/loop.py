@@ -34,7 +34,7 @@ Rate = float | Callable[[int], float]
 """A step, or one for each iteration."""
 
 SAVED = 10
-"""Iterations from one writing of the checkpoint to the next."""
+"""The number of iterations between two checkpoints."""
 
 OPTIMIZERS: dict[str, tuple[Callable[..., Any], float]] = {
     "adam": (drjit.opt.Adam, 0.02),
@@ -55,11 +55,11 @@ class Progressed:
     values: Mapping[str, Any]
     """The parameters."""
     seconds: float
-    """Since the start."""
+    """The time since the start."""
     images: Mapping[int, Any] = field(default_factory=dict)
     """The images of this iteration, (H, W, C) each, by their sensors."""
     targets: Mapping[int, npt.NDArray[np.float32]] = field(default_factory=dict)
-    """The pictures that they should look like."""
+    """The pictures that they should match."""
 
 
 @dataclass
@@ -69,7 +69,7 @@ class Optimization:
     * `values`: the parameters, which the scene has as well; `average`: their means over the last quarter of the
       iterations, which have less noise.
     * `losses`: of each iteration.
-    * `seconds`: in all.
+    * `seconds`: the total time.
     """
 
     values: dict[str, Any]
@@ -106,44 +106,44 @@ def optimize(
     checkpoint: str | os.PathLike[str] | None = None,
     progress: Progress | bool | None = None,
 ) -> Optimization:
-    """Find parameters with which a scene looks like pictures of it, by stochastic gradient descent.
+    """Find parameters with which a scene matches pictures of it, by stochastic gradient descent.
 
     Args:
-        scene: What `load_dict` returned; the search starts at its values, and it has the result in the end.
+        scene: What `load_dict` returned; the search starts at its values, and at the end it holds the result.
         keys: The parameters, by their names in `djpt.traverse`.
         targets: The pictures, (H, W, C) each, of linear values.
         views: The numbers of the sensors that they were taken with; by default 0, 1, ..
-        batch: How many views each iteration looks at, in an order drawn anew for each round of all; 0: all.
-        iterations: How many steps.
-        spp: Samples per pixel of each image, and of each gradient, which has samples of its own: derivatives of L2
-            losses are unbiased therefore. A number, or a function of the iteration.
+        batch: The number of views per iteration, in an order redrawn for each pass over all; 0: all.
+        iterations: The number of steps.
+        spp: Samples per pixel of each image, and of each gradient, which has samples of its own: therefore
+            derivatives of L2 losses are unbiased. A number, or a function of the iteration.
         loss: ``l1``, ``l2``, ``relative``, ``log``, or a function of image and target.
         optimizer: ``adam``, ``sgd``, ``rmsprop``: those of `drjit.opt`; or ``gauss_newton``, which measures how much
-            the pictures change with the parameters, and needs few steps therefore (see `GaussNewton`). It takes losses
+            the pictures change with the parameters, and therefore needs few steps (see `GaussNewton`). It takes losses
             of squares only, and no functions as priors.
         rate: The step, or a function of the iteration, such as ``lambda i: 0.05 * 0.99**i``; of all parameters, or by
             name. By default 0.02, and 1.6 for ``gauss_newton``, whose steps are in units of the curvature: take
             smaller ones if it overshoots.
         bounds: Of all parameters, or by name; by default those that a parameter's meaning sets, see
             `djpt.optimization.bounds.usual_bounds`: 0 and 1 for albedos and roughness, 0 and infinity for light.
-        keeping: How parameters stay in them: ``projection``, ``sigmoid``, or ``free``.
+        keeping: How parameters are kept within the bounds: ``projection``, ``sigmoid``, or ``free``.
         priors: For textures by name: (``smooth``, ``tv`` or a function, weight).
-        coarse: For textures by name: how often width and height are halved at first. They are doubled again at equal
-            parts of the iterations.
+        coarse: For textures by name: the number of times that width and height are halved at first. They
+            are doubled again at equal parts of the iterations.
         demodulate: Divide image and target by the target's brightness before the loss, so that light and dark parts
-            of a picture count alike: what is left is the ratio of albedos.
+            of a picture count equally: what remains is the ratio of albedos.
         seed: Of all renders; iteration i has seeds of its own.
         callback: Called after each iteration; returning True ends the search.
         live: Show the loss, the parameters and the images beside their targets while the search runs: below the cell
             of a notebook; in a terminal, a line with the loss.
-        checkpoint: A file that keeps the state after each tenth iteration; if it exists, the search goes on from it,
-            with the same steps as one that was never ended.
-        progress: Called with (iterations done, all); True shows a bar.
+        checkpoint: A file that keeps the state after each tenth iteration; if it exists, the search continues
+            from it, with the same steps as an uninterrupted one.
+        progress: Called with (iterations done, total); True shows a bar.
 
     Raises:
-        ParameterError: A parameter is unknown, has no derivatives, starts out of its bounds, or these make no sense.
+        ParameterError: A parameter is unknown, has no derivatives, starts outside its bounds, or these make no sense.
         RenderError: Targets don't fit the views, the loss doesn't fit the optimiser, or arguments are out of range.
-        FileError: The checkpoint is another search's, or can't be written.
+        FileError: The checkpoint belongs to another search, or can't be written.
     """
     names = [keys] if isinstance(keys, str) else list(keys)
     for option, by_name in (("rate", rate), ("bounds", bounds), ("priors", priors), ("coarse", coarse)):
@@ -203,7 +203,7 @@ def optimize(
 
 
 def check_names(option: str, by_name: Any, names: Sequence[str]) -> None:
-    """Raise `ParameterError` if an option is given for a parameter that isn't searched for."""
+    """Raise `ParameterError` if an option is given for a parameter that isn't optimised."""
     for name in by_name if isinstance(by_name, Mapping) else ():
         if name not in names:
             raise ParameterError(
@@ -235,7 +235,7 @@ def variable(
     keeping: str,
     shrunk: int,
 ) -> Variable:
-    """The variable of a parameter."""
+    """The variable that stands for a parameter."""
     value = params[name]
     if not params.flags(name).differentiable:
         raise ParameterError(f"{name}: has no derivatives")

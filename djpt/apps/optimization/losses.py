@@ -1,4 +1,4 @@
-"""Losses: how far an image is from the picture that it should be."""
+"""Losses: the distance of an image from its target."""
 
 from __future__ import annotations
 
@@ -48,12 +48,12 @@ def squared(image: Any, target: Any) -> Any:
 
 
 def relative(image: Any, target: Any) -> Any:
-    """Relative L2: mean (a - b)^2 / (b^2 + 0.01), of which all pixels have a like share; unbiased as L2 is."""
+    """Relative L2: mean (a - b)^2 / (b^2 + 0.01), to which all pixels contribute alike; unbiased as L2 is."""
     return dr.mean(dr.square(share(image, target)), axis=None)
 
 
 def logarithmic(image: Any, target: Any) -> Any:
-    """L2 of logarithms: mean log((a + 0.01) / (b + 0.01))^2; noise biases it, so take samples enough."""
+    """L2 of logarithms: mean log((a + 0.01) / (b + 0.01))^2; noise biases it, so take enough samples."""
     return dr.mean(dr.square(ratio(image, target)), axis=None)
 
 

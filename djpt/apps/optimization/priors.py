@@ -1,4 +1,4 @@
-"""Priors: what is thought of a texture before any picture is seen."""
+"""Priors: assumptions about a texture that don't come from the pictures."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Prior = Callable[[Any], Any]
 """A function of a parameter that returns one number, which is added to the loss."""
 
 SMALL = 1e-3
-"""The difference of texels below which total variation is smooth."""
+"""The difference of texels below which total variation is smoothed."""
 
 
 def smoothness(texture: Any) -> Any:
@@ -93,7 +93,7 @@ def curvature_of(prior: str | Prior) -> Callable[[Doubles], Doubles]:
         ParameterError: The prior is a function, whose curvature is unknown.
     """
     if callable(prior):
-        raise ParameterError("'gauss_newton' knows the curvature of 'smooth' and 'tv' only, found a function as prior")
+        raise ParameterError("'gauss_newton' supports only the priors 'smooth' and 'tv', found a function")
     prior_of(prior)
     bend = BENDS[prior]
     return lambda texels: curvature(texels, bend)

@@ -1,4 +1,4 @@
-"""A search under way: the views of an iteration, their derivatives, and a step of the optimiser."""
+"""A running search: the views of an iteration, their derivatives, and a step of the optimiser."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ __all__ = ["Search", "order"]
 Doubles = npt.NDArray[np.float64]
 
 GROWN = 1.5
-"""Gradients that change so much faster than the curvature allows say that it has to be measured anew."""
+"""The ratio of the gradient's change to what the curvature allows above which the curvature is remeasured."""
 
 MEASURING = 2**31
-"""The numbers of the seeds of measurements begin here, beyond those of all iterations."""
+"""The first seed number of measurements, beyond those of all iterations."""
 
 
 @dataclass
 class Search:
-    """An optimisation under way."""
+    """A running optimisation."""
 
     scene: Scene
     params: SceneParameters
@@ -107,7 +107,7 @@ class Search:
     # ---- curvature -----------------------------------------------------------------------
 
     def _precondition(self, views: Sequence[int]) -> bool:
-        """Give Gauss-Newton the curvature of the loss of some views; whether any was measured for it."""
+        """Give Gauss-Newton the curvature of the loss of some views; True if any was measured for it."""
         if self.curvatures is None:
             return False
         found, measured = self.curvatures.of(views)
@@ -117,7 +117,7 @@ class Search:
         return measured
 
     def _forget(self) -> None:
-        """Measure all curvatures anew before they are used."""
+        """Remeasure all curvatures before they are next used."""
         if self.curvatures is not None:
             self.curvatures.forget()
 
@@ -147,7 +147,7 @@ class Search:
 
 
 def order(views: Sequence[int], iteration: int, count: int, seed: int) -> list[int]:
-    """The views of an iteration: each comes once before any comes again."""
+    """The views of an iteration: all are used once before any is used again."""
     chosen = []
     for place in range(iteration * count, (iteration + 1) * count):
         turn, within = divmod(place, len(views))
@@ -156,7 +156,7 @@ def order(views: Sequence[int], iteration: int, count: int, seed: int) -> list[i
 
 
 def compared(image: Any, target: npt.NDArray[np.float32], demodulate: bool) -> tuple[Any, Any]:
-    """Image and target as the loss gets them."""
+    """Image and target as passed to the loss."""
     wanted = type(image)(target)
     if not demodulate:
         return image, wanted

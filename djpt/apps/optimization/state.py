@@ -1,4 +1,4 @@
-"""The state of a search in a file, so that it can go on."""
+"""The state of a search in a file, from which it can be continued."""
 
 from __future__ import annotations
 
@@ -50,10 +50,10 @@ def load_state(
     variables: Mapping[str, Variable],
     curvatures: Curvatures | None = None,
 ) -> tuple[int, list[float], dict[str, Any]]:
-    """Put a search into an optimiser: the iteration that comes next, the losses, the sums of parameters.
+    """Load a search into an optimiser: returns the next iteration, the losses, the sums of parameters.
 
     Raises:
-        FileError: The file is of another search, or damaged.
+        FileError: The file belongs to another search, or is damaged.
     """
     try:
         with open_regular(path) as file, np.load(file, allow_pickle=False) as stored:
@@ -85,7 +85,7 @@ def moments(optimizer: Any, name: str) -> list[Any]:
 
 
 def restore(optimizer: Any, name: str, values: list[Any]) -> None:
-    """Give an optimiser back what it remembered, in the types of what it has now."""
+    """Restore the state of an optimiser, in the types of its current values."""
     value, promoted, rate, extra = optimizer.state[name]
     now = list(extra) if isinstance(extra, tuple) else [extra]
     found = iter(values)
@@ -94,5 +94,5 @@ def restore(optimizer: Any, name: str, values: list[Any]) -> None:
 
 
 def typed(value: Any, like: Any) -> Any:
-    """Numbers of a file as the type of array, or the number, that stands for them."""
+    """Numbers from a file, in the type of the array or number that they replace."""
     return type(like)(value) if dr.is_array_v(like) else type(like)(value.item())

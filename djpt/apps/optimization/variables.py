@@ -1,4 +1,4 @@
-"""Variables: what an optimiser changes in place of a parameter, so that the parameter stays in its bounds."""
+"""Variables: the quantities that an optimiser changes in place of parameters, so that these stay in their bounds."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ KINDS = ("sigmoid", "projection", "free")
 """The ways of keeping parameters in bounds."""
 
 ROUNDING = 1e-5
-"""The distance outside its bounds at which a parameter may start."""
+"""The tolerance by which a parameter may start outside its bounds."""
 
 INSIDE = 1e-3
 """The share of the range by which a sigmoid's start is kept off its ends, where derivatives vanish."""
@@ -30,22 +30,22 @@ class Variable:
     * `projection`: p = x, and x is moved back into the bounds after each step.
     * `free`: p = x.
 
-    Textures may be coarse at first: `refine` gives x more texels, and p is x seen through bilinear interpolation.
+    Textures may be coarse at first: `refine` gives x more texels, and p is x upsampled by bilinear interpolation.
 
     Args:
         key: the parameter's name.
         value: its value, where the optimisation starts.
         bounds: (low, high).
         kind: one of `KINDS`.
-        shrunk: for textures (H, W, C), how often width and height are halved at first.
+        shrunk: for textures (H, W, C), the number of times that width and height are halved at first.
 
     Raises:
-        ParameterError: Bounds or kind make no sense for this parameter, or it starts out of its bounds.
+        ParameterError: Bounds or kind make no sense for this parameter, or it starts outside its bounds.
     """
 
     def __init__(self, key: str, value: Any, bounds: tuple[float, float], kind: str, shrunk: int = 0) -> None:
         if kind not in KINDS:
-            raise ParameterError(f"{key}: unknown way to keep bounds '{kind}'{near_miss(kind, KINDS)}")
+            raise ParameterError(f"{key}: unknown way of keeping bounds '{kind}'{near_miss(kind, KINDS)}")
         if not bounds[0] < bounds[1]:
             raise ParameterError(f"{key}: the lower bound must be below the upper one, found {bounds}")
         if not dr.is_array_v(value) or not dr.is_float_v(value):
@@ -59,7 +59,7 @@ class Variable:
         self.start = self.inverse(coarse(np.array(value, np.float64), shrunk))
 
     def _check_start(self, value: npt.NDArray[np.float64]) -> None:
-        """Raise `ParameterError` if the parameter isn't in its bounds, or these suit no sigmoid."""
+        """Raise `ParameterError` if the parameter isn't in its bounds, or these aren't finite, as a sigmoid needs."""
         low, high = self.bounds
         if self.kind == "sigmoid" and not np.isfinite(high - low):
             raise ParameterError(
@@ -78,7 +78,7 @@ class Variable:
         return width if self.kind != "sigmoid" and np.isfinite(width) else 1.0
 
     def inverse(self, value: npt.NDArray[np.float64]) -> Any:
-        """The variable of a value of the parameter."""
+        """The variable that corresponds to a value of the parameter."""
         low, high = self.bounds
         if self.kind == "sigmoid":
             share = np.clip((value - low) / (high - low), INSIDE, 1 - INSIDE)
@@ -88,7 +88,7 @@ class Variable:
         return self.type(np.ascontiguousarray(value, np.float32))
 
     def parameter(self, x: Any) -> Any:
-        """The parameter of a variable, attached to it."""
+        """The parameter that corresponds to a variable, attached to it."""
         low, high = self.bounds
         p = low + (high - low) * dr.rcp(1 + dr.exp(-x)) if self.kind == "sigmoid" else x
         if dr.is_tensor_v(p) and tuple(p.shape) != self.shape:
@@ -111,7 +111,7 @@ class Variable:
 
 
 def coarse(texels: npt.NDArray[np.float64], times: int) -> npt.NDArray[np.float64]:
-    """A texture of half the width and height, so many times; averages of the texels."""
+    """A texture whose width and height are halved this many times, by averaging texels."""
     for _ in range(times):
         height, width = max(1, texels.shape[0] // 2), max(1, texels.shape[1] // 2)
         rows = np.array_split(texels, height, axis=0)

@@ -1,1 +1,1 @@
-"""The page that shows a render while it is computed: a local server, and a session that renders what is looked at."""
+"""The page that shows a render while it is computed: a local server, and a session that renders the current view."""

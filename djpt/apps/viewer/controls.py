@@ -1,4 +1,4 @@
-"""Parameters of a scene as the sliders and colours of a page."""
+"""The parameters of a scene as sliders and colour pickers of the page."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ CAMERA = frozenset({"x_fov", "aperture_radius", "focus_distance"})
 
 
 def controls(params: SceneParameters) -> list[dict[str, Any]]:
-    """What the page needs to know to show parameters: of single numbers and colours, `MOST` at most.
+    """The data with which the page shows parameters (single numbers and colours), `MOST` at most.
 
     Each has `key`, `kind` (``colour``, ``point`` or ``number``), `value` (a list of numbers), and for numbers the
     range `low` to `high` of a slider.
@@ -62,7 +62,7 @@ def single(params: SceneParameters) -> Iterator[tuple[str, list[float]]]:
 
 
 def bounds(key: str, value: float) -> tuple[float, float]:
-    """The range of a slider: 0 to 1 for shares, else about the value."""
+    """The range of a slider: 0 to 1 for fractions, else around the value."""
     if any(part in key for part in SHARES) and 0 <= value <= 1:
         return 0.0, 1.0
     if key.endswith("x_fov"):
@@ -74,14 +74,14 @@ def bounds(key: str, value: float) -> tuple[float, float]:
 
 
 def changed(params: SceneParameters, key: Any, numbers: Any) -> None:
-    """Give a parameter another value.
+    """Set a parameter to another value.
 
     Raises:
         ParameterError: There is no such parameter, or the value doesn't fit.
     """
     if not isinstance(key, str):
-        raise ParameterError(f"the name of a parameter is expected, found {type(key).__name__}")
+        raise ParameterError(f"expected the name of a parameter, found {type(key).__name__}")
     if not isinstance(numbers, list) or len(numbers) not in (1, 3) or not all(map(is_number, numbers)):
-        raise ParameterError(f"{key[:MAX_NAME]}: one finite number or three are expected")
+        raise ParameterError(f"{key[:MAX_NAME]}: expected one or three finite numbers")
     params[key] = numbers[0] if len(numbers) == 1 else numbers
     params.update()

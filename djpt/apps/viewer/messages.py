@@ -1,4 +1,4 @@
-"""Messages of pages: JSON objects that anybody may have written, and the numbers in them."""
+"""Messages from pages: untrusted JSON objects, and the numbers in them."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from djpt.errors import RenderError
 __all__ = ["in_one_line", "is_number", "number", "parsed", "whole_number"]
 
 LONGEST = 500
-"""The characters of an error that pages are told."""
+"""The number of characters of an error that pages are sent."""
 
 
 def parsed(text: str | bytes) -> dict[str, Any]:
-    """The message of a page; one that isn't a JSON object asks for nothing that exists."""
+    """The message of a page; one that isn't a JSON object becomes an unknown request."""
     try:
         message = json.loads(text)
     except (ValueError, RecursionError):
@@ -25,12 +25,12 @@ def parsed(text: str | bytes) -> dict[str, Any]:
 
 
 def is_number(value: object) -> bool:
-    """Whether a value is a finite number that float32 holds: JSON has integers of any length, NaN and Infinity too."""
+    """True if a value is a finite number that float32 holds: JSON also has integers of any length, NaN and Infinity."""
     return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) <= LARGEST
 
 
 def number(message: Mapping[str, Any], name: str) -> float:
-    """The number of a message that has a name; raises `RenderError` if it isn't one."""
+    """The number of a message by its name; raises `RenderError` if it isn't one."""
     value = message.get(name)
     if not is_number(value):
         raise RenderError(f"'{name}' must be a finite number, found {type(value).__name__}")
@@ -38,11 +38,11 @@ def number(message: Mapping[str, Any], name: str) -> float:
 
 
 def whole_number(message: Mapping[str, Any], name: str) -> int:
-    """The number of a message that has a name, without what stands behind its point."""
+    """The number of a message by its name, truncated to an integer."""
     return int(number(message, name))
 
 
 def in_one_line(error: BaseException) -> str:
-    """An error as pages show it."""
+    """An error as pages show it, in one line."""
     text = " ".join(str(error).split()) or type(error).__name__
     return text if len(text) <= LONGEST else f"{text[:LONGEST]}.."

@@ -1,4 +1,4 @@
-"""The sum of the rounds that a picture consists of so far."""
+"""The sum of the rounds rendered so far."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Picture:
         return np.concatenate([image, self._constant], axis=2) if self._constant.size else image
 
     def error(self) -> Floats:
-        """The standard error of the luminance of each pixel, (height, width); zero before there are two rounds."""
+        """The standard error of the luminance of each pixel, (height, width); zero until there are two rounds."""
         return np.sqrt(self._variance()).astype(np.float32)
 
     def relative_error(self) -> float:

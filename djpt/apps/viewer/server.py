@@ -1,8 +1,8 @@
 """The local server of the page: its files over HTTP, frames and messages over a WebSocket.
 
-The address of the page begins with a secret: whoever doesn't know it gets nothing. That is so for other users of the
-machine, for whoever can reach its network, and for pages of strangers in the user's browser, also if the name they came
-from has become one of this machine (DNS rebinding).
+The address of the page begins with a secret: requests without it are refused. This keeps out other users of the
+machine, others on its network, and foreign pages in the user's browser, even if their host name has been made to
+resolve to this machine (DNS rebinding).
 """
 
 from __future__ import annotations
@@ -28,24 +28,24 @@ from djpt.errors import BackendError, RenderError
 __all__ = ["Server"]
 
 KINDS = {"html": "text/html", "js": "text/javascript", "css": "text/css"}
-"""The files of the page, by the ends of their names."""
+"""The media types of the page's files, by extension."""
 
 LARGEST_MESSAGE = 2**16
-"""Bytes of a message from a page."""
+"""The maximum size of a message from a page, in bytes."""
 
 
 WAITING = 1000
-"""Messages of pages that wait to be taken; pages that send more have to wait."""
+"""The number of messages from pages that may be queued; pages that send more have to wait."""
 
 SECRET_BYTES = 16
 """Random bytes in the address of the page."""
 
 GRACE = 1.0
-"""Seconds in which pages may take leave in the end; then their connections are cut."""
+"""Seconds that pages have to disconnect at shutdown; then their connections are cut."""
 
 
 class Outbox:
-    """What one page is to be sent: the newest message of each kind, and the newest frame, so that slow pages skip some.
+    """Pending output for one page: the newest message of each kind, and the newest frame, so that slow pages skip some.
 
     Messages are of one kind if they have the same keys. So the outbox of a page that doesn't read is bounded.
     """
@@ -74,7 +74,7 @@ class Outbox:
             self._filled.notify()
 
     def take(self) -> list[str | bytes]:
-        """Wait for something to be sent; nothing if the outbox is closed."""
+        """Wait for output; empty if the outbox is closed."""
         with self._filled:
             self._filled.wait_for(lambda: self._messages or self._frame is not None or self._closed)
             if self._closed:
@@ -93,7 +93,7 @@ class Server:
 
     Args:
         port: the TCP port; 0 takes a free one.
-        host: the address to listen at. Who knows the address of the page can look and change parameters.
+        host: the address to listen at. Anyone who knows the address of the page can view it and change parameters.
 
     Raises:
         BackendError: The package `websockets` is missing.
@@ -113,10 +113,10 @@ class Server:
             for file in resources.files("djpt.apps.viewer").joinpath("page").iterdir()
             if file.name.rpartition(".")[2] in KINDS
         }
-        """The files of the page, by their names: names of strangers never reach a file system."""
+        """The files of the page, by their names: names in requests never reach the file system."""
         self._outboxes: set[Outbox] = set()
         self._connections: set[socket.socket] = set()
-        """The connections that are open, from their first byte on."""
+        """The open connections, from their first byte on."""
         self._ending = threading.Event()
         self._lock = threading.Lock()
 
@@ -140,7 +140,7 @@ class Server:
         self._own_names = names_of_loopback(bound, host)
         shown = "127.0.0.1" if bound == "0.0.0.0" else "::1" if bound == "::" else host
         self.origin = f"http://{f'[{shown}]' if ':' in shown else shown}:{number}"
-        """What browsers say a page of this server comes from."""
+        """The `Origin` that browsers send for a page of this server."""
         self.url = f"{self.origin}/{self._secret}/"
         """The address of the page."""
         self._thread = threading.Thread(target=self._server.serve_forever, name="djpt-view", daemon=True)
@@ -167,7 +167,7 @@ class Server:
 
     @property
     def has_pages(self) -> bool:
-        """Whether a page is connected."""
+        """True if a page is connected."""
         with self._lock:
             return bool(self._outboxes)
 
@@ -193,7 +193,7 @@ class Server:
 
         host = request.headers.get_all("Host")
         if self._own_names and (len(host) != 1 or name_in(host[0]) not in self._own_names):
-            return connection.respond(HTTPStatus.FORBIDDEN, "this server has another name\n")
+            return connection.respond(HTTPStatus.FORBIDDEN, "wrong host name for this server\n")
         secret, _, name = request.path.partition("?")[0].removeprefix("/").partition("/")
         if not secrets.compare_digest(secret.encode(errors="replace"), self._secret.encode()):
             return connection.respond(
@@ -202,7 +202,7 @@ class Server:
         if name == "socket":
             origins = request.headers.get_all("Origin")
             if len(host) != 1 or origins not in ([f"http://{host[0]}"], [f"https://{host[0]}"]):
-                return connection.respond(HTTPStatus.FORBIDDEN, "only the page of this server may connect\n")
+                return connection.respond(HTTPStatus.FORBIDDEN, "only this server's page may connect\n")
             return None
         name = name or "index.html"
         body = self._page.get(name)
@@ -220,7 +220,7 @@ class Server:
         return Response(HTTPStatus.OK.value, HTTPStatus.OK.phrase, Headers(headers), body)
 
     def _talk(self, connection: Any) -> None:
-        """Serve one page until it leaves."""
+        """Serve one page until it disconnects."""
         from websockets.exceptions import ConnectionClosed
 
         outbox = Outbox()
@@ -247,7 +247,7 @@ class Server:
 
 
 def deliver(connection: Any, outbox: Outbox) -> None:
-    """Send what comes into an outbox until it is closed or the page has left."""
+    """Send the items of an outbox until it is closed or the page has disconnected."""
     from websockets.exceptions import ConnectionClosed
 
     try:

@@ -1,4 +1,4 @@
-"""A render that begins anew whenever what is looked at changes."""
+"""A render that restarts whenever the view changes."""
 
 from __future__ import annotations
 
@@ -26,26 +26,26 @@ __all__ = ["Session", "packed"]
 SHORT, LONG = 0.02, 0.06
 """Seconds of a round's kernel below which the next round has more samples, and above which it has fewer.
 
-The page is answered between rounds; and each round costs time beside its kernel.
+Messages of the page are handled between rounds, and each round has an overhead besides its kernel.
 """
 
 FRAME_SECONDS = 0.25
-"""The time between two frames of a picture that gets better; the first ones come at once.
+"""The time between two frames of a picture that is being refined; the first ones are sent at once.
 
 Browsers take time to show a frame, which rounds that run meanwhile take from them.
 """
 
 LOOK_SECONDS = 0.5
-"""The time between two looks at the files of the scene."""
+"""The time between two checks of the scene's files."""
 
 RETRY_SECONDS = 2.0
 """The time after which a scene that couldn't be loaded is tried again, though no known file of it has changed."""
 
 RETRY_SHARE = 10
-"""How much longer than an attempt took the time to the next one is at least."""
+"""The minimum ratio of the time to the next attempt to the duration of the last one."""
 
 MESSAGES = 1000
-"""The messages that are taken between two rounds at most."""
+"""The maximum number of messages handled between two rounds."""
 
 LARGEST_HALF = float(np.finfo(np.float16).max)
 
@@ -65,15 +65,15 @@ Inbox: TypeAlias = "queue.SimpleQueue[dict[str, Any]] | queue.Queue[dict[str, An
 
 
 class Session:
-    """What a page shows: a scene, rendered in rounds, until `spp` samples per pixel.
+    """The session behind a page: a scene, rendered in rounds, until `spp` samples per pixel.
 
     Args:
         describe: reads the scene; called again when one of its files changes.
         sensor: the number of the camera.
-        spp: samples per pixel at which a picture is done.
+        spp: samples per pixel of a finished picture.
         seed: of the picture.
-        publish: takes a frame for the pages: see `packed`.
-        tell: takes a message for the pages.
+        publish: called with a frame for the pages: see `packed`.
+        tell: called with a message for the pages.
 
     Raises:
         DjptError: The scene can't be loaded or rendered.
@@ -97,26 +97,26 @@ class Session:
         self.picture = Picture(self.stage.channels)
         self._round_spp, self._paused, self._asked = 1, False, 0
         self._touched = False
-        """Whether somebody has changed the scene since it was loaded first."""
+        """True if the scene has been changed since it was first loaded."""
         self._problem, self._retry = "", 0.0
-        """Why the scene's files can't be loaded any more, and when to try again."""
+        """The reason why the scene's files can no longer be loaded, and when to try again."""
         self._failure = ""
-        """Why the scene can't be rendered as it is."""
+        """The reason why the scene can't be rendered as it is."""
         self._rounds: Rounds | None = None
         self._start = self._looked = self._published = time.perf_counter()
 
     def run(self, inbox: Inbox) -> None:
-        """Render and take messages until an exception ends it, such as `KeyboardInterrupt`."""
+        """Render and handle messages until an exception ends the loop, such as `KeyboardInterrupt`."""
         while True:
             self.turn(inbox)
 
     def turn(self, inbox: Inbox, patience: float = LOOK_SECONDS) -> None:
-        """Take the messages that have come, look at the files of the scene if it is time, and render a round.
+        """Handle pending messages, check the scene's files if it is time, and render a round.
 
-        If nothing is to be rendered, a message is waited for, for `patience` seconds at most.
+        If there is nothing to render, wait for a message, for `patience` seconds at most.
 
         Raises:
-            DjptError: The scene can't be rendered, though nobody has changed it.
+            DjptError: The scene can't be rendered, although it hasn't been changed.
         """
         # All that has come is taken before a round: a pointer that moves asks for more than can be rendered.
         waiting = self.waits
@@ -143,7 +143,7 @@ class Session:
 
     @property
     def waits(self) -> bool:
-        """Whether nothing is to be rendered until something changes."""
+        """True if there is nothing to render until something changes."""
         return self._paused or bool(self._failure) or self.picture.spp >= self.spp
 
     def render_round(self) -> None:
@@ -179,7 +179,7 @@ class Session:
         return pixels[..., :3] if pixels.shape[2] >= 3 else np.repeat(pixels[..., :1], 3, axis=2)
 
     def header(self) -> dict[str, Any]:
-        """What is told about a frame."""
+        """The header of a frame."""
         x, y, width, height = self.stage.window
         return {
             "size": self.stage.size,
@@ -195,7 +195,7 @@ class Session:
     # ---- messages ----------------------------------------------------------------------------
 
     def take(self, message: Mapping[str, Any]) -> None:
-        """Do what a page asks for; what it can't have is told as an error."""
+        """Carry out a page's request; failures are reported to the pages as errors."""
         do = message.get("do")
         try:
             if do == "join":
@@ -219,15 +219,15 @@ class Session:
             self._tell({"error": in_one_line(error)})
 
     def begin(self) -> None:
-        """Begin the picture anew, with rounds of one sample per pixel."""
+        """Restart the picture, with rounds of one sample per pixel."""
         self.picture, self._round_spp, self._rounds = Picture(self.stage.channels), 1, None
         self._failure = ""
         self._start = time.perf_counter()
 
     def reload_if_changed(self) -> None:
-        """Load the scene again if one of its files has changed; its errors are told, and the old one stays.
+        """Reload the scene if one of its files has changed; errors are reported, and the old scene stays.
 
-        What can't be loaded is tried again from time to time: the mend may be in a file that isn't known yet.
+        If loading fails it is retried from time to time: the fix may be in a file that isn't known yet.
         """
         start = time.perf_counter()
         changed = self._watch.has_changed()
@@ -254,7 +254,7 @@ class Session:
         self._tell(self.state())
 
     def state(self) -> dict[str, Any]:
-        """What a page needs to know of the scene."""
+        """The state of the scene for a page."""
         return {
             "layers": list(LAYERS),
             "layer": self.stage.layer,
@@ -275,7 +275,7 @@ CHANGES: dict[str, Callable[[Stage, Mapping[str, Any]], None]] = {
     "set": lambda stage, m: stage.change(m.get("key"), m.get("value")),
     "show": lambda stage, m: stage.show(m.get("layer")),
 }
-"""The messages that change what is looked at, and what they do."""
+"""The messages that change the view, and the methods that handle them."""
 
 
 def packed(header: Mapping[str, Any], pixels: npt.NDArray[np.float32]) -> bytes:

@@ -1,4 +1,4 @@
-"""The scene that is looked at, and what can be changed of it while it is rendered."""
+"""The scene being viewed, and everything about it that can be changed while it is rendered."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ LAYERS = {
     "uv": "uv",
     "shape": "shape_index",
 }
-"""What can be shown: the image, its error, and variables of the integrator `aov`."""
+"""The layers that can be shown: the image, its error, and variables of the integrator `aov`."""
 
 
 class Stage:
@@ -42,7 +42,7 @@ class Stage:
         sensor: the number of the camera.
 
     Raises:
-        RenderError: The scene has no camera that takes pictures, or not that many.
+        RenderError: The sensor takes no pictures, or there is no sensor with this number.
     """
 
     def __init__(self, description: Mapping[str, Any], sensor: int = 0) -> None:
@@ -50,7 +50,7 @@ class Stage:
         self.params = djpt.traverse(self.scene)
         self.sensor = find_sensor(self.scene, sensor)
         if not isinstance(self.sensor, ProjectiveCamera):
-            raise RenderError(f"'{self.sensor.id()}' takes no pictures: choose a camera by --sensor")
+            raise RenderError(f"'{self.sensor.id()}' takes no pictures: choose a camera with --sensor")
         self.number = sensor
         self.layer = "light"
         self._aovs: dict[str, Integrator] = {}
@@ -59,7 +59,7 @@ class Stage:
         film = self.params.names_of(self.sensor.film())
         self._crop = {name.rpartition(".")[2]: name for name in film}
         self.camera = self.home = OrbitCamera.of(self.scene, self.sensor)
-        """Where the camera is, and where the scene has it."""
+        """The camera's current placement, and its placement in the scene."""
 
     # ---- what is rendered --------------------------------------------------------------------
 
@@ -86,7 +86,7 @@ class Stage:
 
     @property
     def window(self) -> tuple[int, int, int, int]:
-        """Column and row of the first pixel that is rendered, and how many columns and rows are."""
+        """Column and row of the first pixel that is rendered, and the number of columns and rows."""
         (x, y), (width, height) = self.sensor.film().crop_offset(), self.sensor.film().crop_size()
         return int(x), int(y), int(width), int(height)
 
@@ -104,11 +104,11 @@ class Stage:
         self.layer = layer
 
     def change(self, key: Any, numbers: Any) -> None:
-        """Give a parameter another value."""
+        """Set a parameter to another value."""
         changed(self.params, key, numbers)
 
     def crop(self, x: int, y: int, width: int, height: int) -> None:
-        """Render only a window of the film, cut to its size; the whole film if it has no pixels."""
+        """Render only a window, clipped to the film; the whole film if the window is empty."""
         columns, rows = self.size
         left, top = min(max(x, 0), columns), min(max(y, 0), rows)
         right, bottom = min(max(x + width, 0), columns), min(max(y + height, 0), rows)
@@ -120,7 +120,7 @@ class Stage:
         )
 
     def turn(self, yaw: float, pitch: float) -> None:
-        """Turn the camera about what it looks at, by angles in radians."""
+        """Orbit the camera about its target, by angles in radians."""
         self.hold(self.camera.turned(yaw, pitch))
 
     def shift(self, right: float, upward: float) -> None:
@@ -134,16 +134,16 @@ class Stage:
         self.hold(self.camera.scaled(factor) if orthographic else self.camera.approached(factor))
 
     def return_home(self) -> None:
-        """Move the camera back to where the scene has it."""
+        """Reset the camera to its placement in the scene."""
         self.hold(self.home)
 
     def hold(self, camera: OrbitCamera) -> None:
         """Put the camera somewhere.
 
         Raises:
-            RenderError: That is so far away, or so near to what the camera turns about, that it can't be told where.
+            RenderError: The camera is so far away, or so near to its target, that its position isn't finite.
         """
         if not (np.isfinite(camera.to_world).all() and np.isfinite(camera.distance) and camera.distance > 0):
-            raise RenderError("the camera can't go there: its place isn't a number any more")
+            raise RenderError("the camera can't move there: its position would no longer be finite")
         self.params.update({self._to_world: ScalarTransform4f(camera.to_world)})
         self.camera = camera

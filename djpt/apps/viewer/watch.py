@@ -1,4 +1,4 @@
-"""The files that a scene was read from, and whether one of them has changed."""
+"""Detection of changes in the files that a scene was read from."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ __all__ = ["Watch"]
 
 
 class Watch:
-    """Notices new versions of files by their size and time of change."""
+    """Detects new versions of files by their size and modification time."""
 
     def __init__(self, files: Iterable[Path]) -> None:
         self.files = tuple(files)
@@ -18,7 +18,7 @@ class Watch:
         self._seen = self._state()
 
     def has_changed(self) -> bool:
-        """Whether a file has changed since the last call. A file that is missing for a moment hasn't."""
+        """True if a file has changed since the last call. A file that is missing momentarily hasn't."""
         state = self._state()
         changed = any(new is not None and new != old for new, old in zip(state, self._seen, strict=True))
         self._seen = tuple(old if new is None else new for new, old in zip(state, self._seen, strict=True))
@@ -29,7 +29,7 @@ class Watch:
 
 
 def stamp(path: Path) -> tuple[int, int] | None:
-    """The time of change in nanoseconds and the size of a file; None if there is none."""
+    """The modification time in nanoseconds and the size of a file; None if it doesn't exist."""
     try:
         status = os.stat(path)
     except OSError:

@@ -1,1 +1,1 @@
-"""Renders that are too large for one image in memory at the end, or so long that they show what exists and go on."""
+"""Renders whose images exceed the memory, or that take so long that they show partial images and can be continued."""

@@ -1,4 +1,4 @@
-"""Accumulations: what has been computed of a render that can go on."""
+"""Accumulations: the partial results of renders that can be continued."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ Same = TypeVar("Same", bound="Accumulation")
 
 
 class Error(NamedTuple):
-    """How far an image is from the one of infinitely many samples, by the differences between its rounds."""
+    """The distance of an image from one of infinitely many samples, estimated from its rounds' differences."""
 
     overall: float
     """The relative RMSE: the root of the mean squared error of the pixels' luminance, divided by the mean luminance."""
@@ -41,7 +41,7 @@ class Error(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Accumulation:
-    """The sum of some rounds of a render: an image, its error, and all that is needed to go on.
+    """The sum of some rounds of a render: an image, its error, and everything needed to continue.
 
     `djpt.render_passes` makes them: an `EvenAccumulation`, and with `adaptive` an `AdaptiveAccumulation`. An
     accumulation doesn't change: the next round makes another one. Sums are of 64 bits and are added up in the order of
@@ -51,19 +51,19 @@ class Accumulation:
     software: str = field(default_factory=versions)
     """The versions of djpt and Dr.Jit that its rounds come from: see `versions`."""
     fingerprint: Fingerprint
-    """What is rendered: see `djpt.rendering.progressive.fingerprint`."""
+    """The fingerprint of the render: see `djpt.rendering.progressive.fingerprint`."""
     channels: tuple[str, ...]
     """The names of the image's channels."""
     round_spp: int
     """Samples per pixel of each whole round, on average."""
     schedule: str
-    """How lanes are filled: the `schedule` of `render`."""
+    """The schedule that fills lanes, as for `render`."""
     seeds: tuple[int, ...] = ()
     """The seed of each round."""
     counts: tuple[int, ...] = ()
     """The samples per pixel of each round, on average: `round_spp`, or fewer in a last one."""
     beginning: Accumulation | None = None
-    """The whole rounds, if a last one is smaller: a render goes on from them."""
+    """The whole rounds, if a last one is smaller: a render continues from them."""
     constant: Floats
     """The channels that come from the centres of pixels, (height, width, channels)."""
 
@@ -91,7 +91,7 @@ class Accumulation:
 
     @property
     def whole(self: Same) -> Same:
-        """The accumulation that a render goes on from: this one, without a last round that is smaller."""
+        """The accumulation that a render continues from: this one, without a last round that is smaller."""
         if self.beginning is None:
             return self
         assert isinstance(self.beginning, type(self))
@@ -105,7 +105,7 @@ class Accumulation:
 
     @property
     def layout(self) -> Any:
-        """How the arrays follow from the size: the numbers of channels and of those from the centres of pixels."""
+        """The layout that determines the arrays' shapes: the numbers of all channels and of unfiltered ones."""
         return len(self.channels), self.constant.shape[2]
 
     def image(self) -> TensorXf:
@@ -117,7 +117,7 @@ class Accumulation:
         """The error of the image's luminance, estimated from the variance between rounds; infinite for one round.
 
         It is unbiased also for samplers whose samples within a round depend on each other, as rounds don't. Light that
-        no round has found yet is no part of it. Files without colours have the mean of their channels for a luminance.
+        no round has found yet is no part of it. Without colour channels, the mean of all channels is the luminance.
         """
         return self._error
 
@@ -167,7 +167,7 @@ class Accumulation:
         shared = set(self.seeds) & set(other.seeds)
         if shared:
             raise RenderError(
-                f"{problem}: both have the round of seed {min(shared)}; render them with seeds that differ"
+                f"{problem}: both contain the round of seed {min(shared)}; render them with different seeds"
             )
         sums: dict[str, Any] = {name: getattr(self, name) + getattr(other, name) for name in self.added}
         seeds, counts = self.seeds + other.seeds, self.counts + other.counts
@@ -176,7 +176,7 @@ class Accumulation:
     def require_same(self, software: str, fingerprint: Fingerprint, problem: str) -> None:
         """Raise `RenderError` if versions or a fingerprint aren't these."""
         if software != self.software:
-            raise RenderError(f"{problem}: its rounds come from {self.software}, others would from {software}")
+            raise RenderError(f"{problem}: its rounds come from {self.software}, others would come from {software}")
         differing = difference(self.fingerprint, fingerprint)
         if differing:
             raise RenderError(f"{problem}: what is rendered differs in {differing}")
@@ -193,7 +193,7 @@ class Accumulation:
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> Accumulation:
-        """Read a file that `save` has written; files of strangers run no code.
+        """Read a file that `save` has written; untrusted files can't run code.
 
         Raises:
             FileError: It can't be read, is of another kind or version, or is damaged.
@@ -201,7 +201,7 @@ class Accumulation:
         return checkpoint.load(path, kind_of)
 
     def header(self) -> dict[str, Any]:
-        """What files say of the render: texts and whole numbers."""
+        """The facts about the render that files hold: strings and integers."""
         return {
             "software": self.software,
             "fingerprint": dict(self.fingerprint),
@@ -233,13 +233,13 @@ class Accumulation:
         )
 
     def facts(self) -> dict[str, Any]:
-        """What files say besides the arrays, and besides what all accumulations have: texts and whole numbers."""
+        """The facts that files hold besides the arrays and the common header: strings and integers."""
         return {}
 
     def check(self) -> None:
         """Raise `ValueError` if the arrays of a file contradict each other, or the rounds."""
         if not self.rounds and any(getattr(self, name).any() for name in self.stored):
-            raise ValueError("it has sums, but no rounds")
+            raise ValueError("it has sums but no rounds")
 
     @classmethod
     def shapes(cls, header: Mapping[str, Any]) -> dict[str, tuple[int, ...]]:
@@ -330,7 +330,7 @@ class EvenAccumulation(Accumulation):
         """This accumulation and one more round, of `count` samples per pixel."""
         share = count / self.round_spp
         if self.rounds and self.weights.shape != part.weights.shape:
-            raise RenderError("the render can't go on: its weights aren't those of the film")
+            raise RenderError("the render can't continue: its weights don't match the film's")
         weights = np.where(part.weights == 0, 1, part.weights)
         brightness = luminance(part.sums / weights, self.channels).astype(np.float64)
         halves = self.luminance.copy()
@@ -355,7 +355,7 @@ class EvenAccumulation(Accumulation):
         if self.weights.size == 1 != self.squares.size and self.weights.item() != self.spp:
             raise ValueError(f"its weights are of {self.weights.item():g} samples per pixel, its rounds of {self.spp}")
         if (self.squares < 0).any() or (self.rounds < 2 and self.luminance[1].any()):
-            raise ValueError("its luminance isn't that of its rounds")
+            raise ValueError("its luminance doesn't match its rounds")
 
     @classmethod
     def shapes(cls, header: Mapping[str, Any]) -> dict[str, tuple[int, ...]]:
@@ -390,7 +390,7 @@ class AdaptiveAccumulation(Accumulation):
     """Over all rounds the sums of l l, l w and w w, l being the weighted luminance of a tile's film in a round and w
     its weight: (3, tiles, height, width)."""
     taken: Counts
-    """How often each tile was sampled in each half, (2, tiles)."""
+    """The number of times that each tile was sampled in each half, (2, tiles)."""
     last: Floats
     """The luminance of the last survey of each half, (2, height, width)."""
     changes: Doubles
@@ -503,7 +503,7 @@ class AdaptiveAccumulation(Accumulation):
         return np.repeat(every, shares(self.tiles, self.taken[half], self.changes[1 - half] / known, places))
 
     def _is_survey(self, number: int, count: int) -> bool:
-        """Whether a round samples all tiles alike: a smaller one can't."""
+        """True if a round samples all tiles alike: a smaller one can't."""
         return is_survey(number) and count == self.round_spp
 
     def with_round(self, seed: int, count: int, part: TileSums) -> AdaptiveAccumulation:
@@ -580,7 +580,7 @@ class AdaptiveAccumulation(Accumulation):
 
 
 def kind_of(header: Mapping[str, Any]) -> type[Accumulation]:
-    """The class of the accumulation of a header, by what it says besides the `header` of all."""
+    """The class of the accumulation of a header, by its entries besides the common `header`."""
     return AdaptiveAccumulation if "tiles" in header["sets"][0] else EvenAccumulation
 
 

@@ -45,7 +45,7 @@ __all__ = ["AdaptiveRounds", "TileJob"]
 Floats = npt.NDArray[np.float32]
 
 IN_TILES = frozenset({"flat", "wave"})
-"""The schedules that compute pixels apart from each other; an integrator that has one of them can render tiles."""
+"""The schedules that compute pixels independently; an integrator that has one of them can render tiles."""
 
 PIXELS = 2**16
 """The pixels of the tiles that are computed at once: a film's sums are up to half a kilobyte for each."""
@@ -61,7 +61,7 @@ class AdaptiveRounds:
     """The rounds of one image over tiles.
 
     The samples of a tile in a round are those of `render` with the round's seed. If the round samples the tile again,
-    they have the seed of a round that no render comes to.
+    they have the seed of a round that no render reaches.
 
     Raises:
         RenderError: The image can't be rendered in tiles.
@@ -81,7 +81,7 @@ class AdaptiveRounds:
         job = self._job()
         check_memory(job)
         if not job.sampler.has_streams:
-            raise RenderError(f"{job.sampler.id()} has no stream for each sample, which adaptive renders need")
+            raise RenderError(f"{job.sampler.id()} has no separate stream per sample, which adaptive renders need")
         if choose(settings.schedule, job).name == "machine":
             self._settings = replace(settings, schedule="flat")
         problem = reason_against(job, choose(self._settings.schedule, job))
@@ -104,7 +104,7 @@ class AdaptiveRounds:
 
     @property
     def small(self) -> bool:
-        """Whether all tiles are computed at once."""
+        """True if all tiles are computed at once."""
         return self.tiles.count <= self._together
 
     def _job(self) -> Job:
@@ -247,9 +247,9 @@ class TileJob(Job):
 
 
 def reason_against(job: Job, schedule: Schedule) -> str:
-    """What keeps an image from being rendered in tiles; an empty text if nothing does."""
+    """The reason why an image can't be rendered in tiles; an empty string if there is none."""
     if not isinstance(schedule, Flat):
-        return f"the schedule '{schedule.name}' makes an image as a whole"
+        return f"the schedule '{schedule.name}' computes an image as a whole"
     if not job.channel_names():
         return "no channel is sampled"
     if is_wide(job.film.taps):

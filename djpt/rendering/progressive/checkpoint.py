@@ -5,7 +5,7 @@
     {"software": .., ..}        a line of JSON: everything but the arrays
     ...                         the arrays one after the other, little-endian
 
-If a last round is smaller, the arrays of all rounds are followed by those without it, from which a render goes on.
+If a last round is smaller, the arrays of all rounds are followed by those without it, from which a render continues.
 Nothing in it is code, and all sizes follow from the line of JSON.
 """
 
@@ -30,12 +30,12 @@ KIND, VERSION = b"djpt accumulation ", 2
 
 
 class Stored(Protocol):
-    """What is stored: an accumulation, see `djpt.rendering.progressive.accumulation.Accumulation`."""
+    """The protocol of stored objects: accumulations, see `djpt.rendering.progressive.accumulation.Accumulation`."""
 
     stored: ClassVar[Mapping[str, str]]
 
     def facts(self) -> dict[str, Any]:
-        """What files say besides the arrays and the header."""
+        """The facts that files hold besides the arrays and the header."""
 
     def check(self) -> None:
         """Raise `ValueError` if the arrays contradict each other."""
@@ -53,7 +53,7 @@ Kind = TypeVar("Kind", bound=Stored)
 
 
 def save(path: str | os.PathLike[str], header: Mapping[str, Any], sets: Sequence[Stored]) -> None:
-    """Write an accumulation, and after it the one that it goes on from, if that is another one."""
+    """Write an accumulation, followed by the one that it continues from, if that is another one."""
     header = {**header, "sets": [one.facts() for one in sets]}
     parts: list[Any] = [json.dumps(header).encode() + b"\n"]
     for one in sets:
@@ -82,7 +82,7 @@ def load(path: str | os.PathLike[str], kind_of: Callable[[Mapping[str, Any]], ty
         raise unreadable(source, f"its format is version {found}; this djpt reads version {VERSION}")
     check, _, data = rest.partition(b"\n")
     if check != b"%08x" % zlib.crc32(data):
-        raise unreadable(source, "it is cut off or damaged")
+        raise unreadable(source, "it is truncated or damaged")
     line, _, memory = data.partition(b"\n")
     try:
         header = checked(json.loads(line))
@@ -92,7 +92,7 @@ def load(path: str | os.PathLike[str], kind_of: Callable[[Mapping[str, Any]], ty
 
 
 def read(made: type[Kind], header: Mapping[str, Any], memory: bytes) -> Kind:
-    """The accumulation of a checked header and the memory of its arrays; raises `ValueError` if they contradict."""
+    """The accumulation of a checked header and the memory of its arrays; raises `ValueError` if they disagree."""
     headers = [{**header, **facts} for facts in header["sets"]]
     layouts = [made.shapes(one) for one in headers]
     needed = sum(
@@ -101,7 +101,7 @@ def read(made: type[Kind], header: Mapping[str, Any], memory: bytes) -> Kind:
         for name, shape in shapes.items()
     )
     if needed != len(memory):
-        raise ValueError(f"its arrays have {len(memory)} bytes, its header asks for {needed}")
+        raise ValueError(f"its arrays have {len(memory)} bytes, but its header requires {needed}")
     found: list[Kind] = []
     end = len(memory)
     # The beginning stands last, and what follows refers to it.
@@ -132,11 +132,11 @@ def checked(header: Any) -> Mapping[str, Any]:
     numbers |= {f"count {i}": count for i, count in enumerate(counts)}
     for name, number in numbers.items():
         if type(number) is not int or not 0 <= number < 2**32:
-            raise ValueError(f"'{name}' is no whole number of 32 bits")
+            raise ValueError(f"'{name}' isn't a 32-bit integer")
     texts = [header["software"], header["schedule"], *header["channels"]]
     texts += [*header["fingerprint"], *header["fingerprint"].values()]
     if not all(isinstance(text, str) for text in texts):
-        raise ValueError("'software', 'schedule', 'channels' and 'fingerprint' must be texts")
+        raise ValueError("'software', 'schedule', 'channels' and 'fingerprint' must hold strings")
     if min(width, height, header["round_spp"]) < 1 or header["constant"] > len(header["channels"]):
         raise ValueError("a size is out of range")
     if len(set(seeds)) != len(seeds):
@@ -148,7 +148,7 @@ def checked(header: Any) -> Mapping[str, Any]:
         raise ValueError("'sets' must be one or two dicts")
     whole = [count == header["round_spp"] for count in counts]
     if len(sets) == 2 and not (all(whole[:-1]) and whole[-1:] == [False]):
-        raise ValueError("'sets' says that the last round alone is smaller, 'counts' doesn't")
+        raise ValueError("'sets' and 'counts' disagree on whether the last round alone is smaller")
     return header
 
 

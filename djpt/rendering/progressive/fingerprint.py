@@ -26,13 +26,13 @@ Fingerprint = Mapping[str, str]
 """A hash (64 bits, in hexadecimal digits) for each node of a scene by its name, the sensor and the like."""
 
 SHOWN = 4
-"""The nodes that a message lists."""
+"""The maximum number of nodes that a message lists."""
 
 
 def fingerprint(scene: Scene, sensor: Sensor, integrator: Integrator) -> dict[str, str]:
     """The fingerprint of an image: of all nodes of the scene but other sensors and integrators.
 
-    Hashed are the classes of plugins, their parameters (what `traverse` reports: numbers, vertices, texels), and what
+    Hashes cover the classes of plugins, their parameters (what `traverse` reports: numbers, vertices, texels), and what
     their kernels depend on besides; and the order of lights, which decides what random numbers choose. The number of
     samples and the seed of `render` aren't part of it.
     """
@@ -50,7 +50,7 @@ def versions() -> str:
 
 
 def difference(a: Fingerprint, b: Fingerprint) -> str:
-    """The nodes in which two fingerprints differ, for messages; an empty text if they are equal."""
+    """The nodes in which two fingerprints differ, for messages; an empty string if they are equal."""
     names = [name for name in {**a, **b} if a.get(name) != b.get(name)]
     quoted = [name if name.startswith("the ") else f"'{name}'" for name in names]
     return ", ".join(quoted[:SHOWN]) + (f" and {len(names) - SHOWN} more" if len(names) > SHOWN else "")
@@ -78,7 +78,7 @@ class Parts(TraversalCallback):
         flags: ParamFlags = ParamFlags.NonDifferentiable,
         attribute: str | None = None,
     ) -> None:
-        """Note a parameter or a plugin."""
+        """Record a parameter or a plugin."""
         self.parts[name] = value
 
 
@@ -95,7 +95,7 @@ def pieces(plugin: Plugin, seen: dict[int, int]) -> Iterator[bytes]:
 
 
 def described(plugin: Plugin) -> dict[str, Any]:
-    """What a plugin is, by name: its parameters, and what kernels and schedules depend on besides."""
+    """The description of a plugin, by name: its parameters, and whatever else kernels and schedules depend on."""
     parts = Parts()
     plugin.traverse(parts)
     found = parts.parts
@@ -118,12 +118,12 @@ def described(plugin: Plugin) -> dict[str, Any]:
 
 
 def is_setting(name: str, value: Any) -> bool:
-    """Whether an attribute is a plain value that isn't the state of a render."""
+    """True if an attribute is a plain value that isn't the state of a render."""
     return not name.startswith("_") and is_plain(tuple(value) if isinstance(value, list) else value)
 
 
 def holds_plugins(value: Any) -> bool:
-    """Whether a value is a plugin, or a list of such and of pairs with them."""
+    """True if a value is a plugin, or a list of plugins or of pairs with them."""
     if isinstance(value, (list, tuple)):
         return any(map(holds_plugins, value))
     return isinstance(value, Plugin)

@@ -76,7 +76,7 @@ class MultiPixelJob(Job):
         self._rows, self._share = dr.opaque(Float, rows), dr.opaque(Float, 1 / self.spp)
 
     def begin(self, pixel: UInt32, k: UInt32, x: Float, y: Float) -> tuple[SampleStream, Ray3f, Any]:
-        """The same; the third number of the offset says which pixel of the lane it is."""
+        """As in `Job`; the third number of the offset is the index of the pixel within the lane."""
         turn = dr.floor((Float(k) + 0.5) * self._share)
         number = UInt32(turn)
         real = dr.fma(number, self.step, pixel)

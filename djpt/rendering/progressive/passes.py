@@ -1,4 +1,4 @@
-"""`render_passes`: renders that show what exists, stop when it is good, and go on later."""
+"""`render_passes`: renders that show partial images, stop once these are good enough, and can be continued later."""
 
 from __future__ import annotations
 
@@ -38,15 +38,15 @@ ADAPTIVE_SPP = 4
 """The samples per pixel of such a round at least."""
 
 LEAST_ROUNDS = 4
-"""The rounds that an error must come from to stop a render."""
+"""The minimum number of rounds behind an error that stops a render."""
 
 SLOW = 2.0
-"""Seconds of a round from which on it is watched pass by pass; quicker ones overlap with what Python does."""
+"""Seconds above which a round is watched pass by pass; quicker ones overlap with Python's work."""
 
 
 @dataclass(frozen=True)
 class Goal:
-    """When a render stops: at whatever is reached first."""
+    """The conditions for a render to stop: whichever is reached first."""
 
     spp: int
     """Samples per pixel, those of an earlier render included; 0: no limit."""
@@ -86,7 +86,7 @@ class Goal:
         return -(-self.spp // self.of_round) if self.spp else None
 
     def is_reached(self, found: Accumulation, elapsed: float, of_round: float) -> bool:
-        """Whether a render is to stop after a round, when the next one takes about `of_round` seconds."""
+        """True if a render is to stop after a round, if the next one takes about `of_round` seconds."""
         if self.spp and found.spp >= self.spp:
             return True
         if self.seconds is not None and elapsed + of_round > self.seconds:
@@ -110,15 +110,15 @@ def render_passes(
     progress: Progress | None = None,
     interruption: Interruption | None = None,
 ) -> Iterator[Accumulation]:
-    """Render in rounds, and give what exists after each: a `djpt.Accumulation`. The last one is the result.
+    """Render in rounds, and yield the result so far after each: a `djpt.Accumulation`. The last one is final.
 
-    Round r is the image of ``render(scene, spp=n, seed=s)`` with n = `round_spp`, in a last round what is left of
+    Round r is the image of ``render(scene, spp=n, seed=s)`` with n = `round_spp`, in a last round the rest of
     `spp`, and with the seed s of `djpt.rendering.progressive.rounds.round_seed`; round 0 has the seed itself. So the
     image is a function of (scene, spp, seed, round_spp). Up to one round it is that of `render`, bit for bit; beyond,
     it has other samples than ``render(scene, spp=spp, seed=seed)``, whose numbers depend on `spp`, as in Mitsuba.
 
-    A render that goes on has the bits of one that was asked for more from the start, for every sampler; a last round
-    that is smaller is rendered anew then. Samplers of low discrepancy are stratified within each round, not from round
+    A continued render has the bits of one with more samples from the start, for every sampler; a last round that is
+    smaller is then rendered again in full. Samplers of low discrepancy are stratified within each round, not from round
     to round.
 
     Args:
@@ -137,13 +137,13 @@ def render_passes(
             `djpt.rendering.progressive.tiles`. The numbers of samples are means over the image then; `samples`
             says how many each pixel has. By default a round has a sixteenth of the `spp`; the first four are whole.
             Only integrators that follow paths from the camera can.
-        resume_from: What to go on with: of the same scene, seed, sensor, integrator and schedule, by the same versions
-            of djpt and Dr.Jit. If nothing is left to be done it is given as it is.
+        resume_from: The accumulation to continue from: of the same scene, seed, sensor, integrator and schedule, by the
+            same versions of djpt and Dr.Jit. If nothing is left to do, it is yielded as it is.
         schedule: As for `render`.
         progress: Called with (samples done, samples of the round) after each pass of rounds that take long.
         interruption: Signals that end a round after the pass at hand.
 
-    Gradients of parameters are left alone. While a round is looked at, the next one may be running.
+    Gradients of parameters are left alone. While a result is being used, the next round may already be running.
 
     Raises:
         RenderError: Arguments are out of range, `resume_from` is another render's, or the render can't be adaptive.
@@ -190,7 +190,7 @@ def adaptive_image(scene: Scene, settings: RenderSettings) -> TensorXf:
 
 
 def usual_spp(spp: int, adaptive: bool) -> int:
-    """The samples per pixel of a round, if nobody says how many."""
+    """The default samples per pixel of a round."""
     if not (spp and adaptive):
         return min(spp or ROUND_SPP, ROUND_SPP)
     # The first rounds of an adaptive render are whole: small numbers must consist of them.
@@ -218,18 +218,18 @@ class RoundImage(ABC):
         """Launch a round; the result waits for it and adds it to an accumulation.
 
         Args:
-            found: What is known when the round begins.
+            found: The accumulation when the round begins.
             number: Of the round.
-            watched: Whether progress is shown and signals are noticed meanwhile.
+            watched: True if progress is shown and signals are noticed meanwhile.
         """
 
     @abstractmethod
     def overlaps(self, number: int) -> bool:
-        """Whether the next round may begin before a round has ended."""
+        """True if the next round may begin before a round has ended."""
 
     @cached_property
     def fingerprint(self) -> dict[str, str]:
-        """What is rendered: see `djpt.rendering.progressive.fingerprint`."""
+        """The fingerprint: see `djpt.rendering.progressive.fingerprint`."""
         return fingerprint(self.scene, self.settings.sensor, self.settings.integrator)
 
     @property
@@ -238,7 +238,7 @@ class RoundImage(ABC):
         return replace(self.settings, spp=self.goal.of_round)
 
     def count(self, number: int) -> int:
-        """Samples per pixel of a round: in the last one what is left."""
+        """Samples per pixel of a round: in the last one the rest."""
         whole, limit = self.goal.of_round, self.goal.spp
         return min(whole, limit - number * whole) if limit else whole
 
@@ -340,10 +340,10 @@ def rounds(found: Accumulation, goal: Goal, image: RoundImage) -> Iterator[Accum
 
 
 def begun(image: RoundImage, resume_from: Accumulation | None) -> Any:
-    """What an image begins with: no rounds, or those of an earlier render.
+    """The initial accumulation of an image: no rounds, or those of an earlier render.
 
     Raises:
-        RenderError: They are another render's. Arrays must be those of the image, too, whatever its fingerprint says.
+        RenderError: They belong to another render. The arrays must fit the image, too, whatever its fingerprint.
     """
     if resume_from is not None:
         require_resumable(image, resume_from)
@@ -353,13 +353,13 @@ def begun(image: RoundImage, resume_from: Accumulation | None) -> Any:
     for name in ("channels", "size", "layout"):
         if getattr(resume_from, name) != getattr(empty, name):
             expected, stored = getattr(empty, name), getattr(resume_from, name)
-            raise RenderError(f"the render can't go on: its {name} is {stored}, not {expected}")
+            raise RenderError(f"the render can't continue: its {name} is {stored}, not {expected}")
     return resume_from
 
 
 def require_resumable(image: RoundImage, found: Accumulation) -> None:
     """Raise `RenderError` unless an accumulation is the beginning of an image."""
-    problem = "the render can't go on"
+    problem = "the render can't continue"
     found.require_same(versions(), image.fingerprint, problem)
     seed, round_spp, schedule = image.settings.seed, image.goal.of_round, image.settings.schedule
     if not isinstance(found, image.kind):

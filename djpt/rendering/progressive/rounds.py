@@ -1,10 +1,10 @@
-"""Rounds: the parts that a render which can go on at any time consists of.
+"""Rounds: the parts of a render that can be continued at any time.
 
 A round is the image of `render` with a number of samples per pixel that all rounds of a render share, and with a seed
 of its own. So the first rounds of a long render are those of a short one. A last round may be smaller.
 
 Parts of the samples of one seed wouldn't do: as in Mitsuba the numbers of sample k of a pixel depend on how many the
-pixel has in all, which nobody knows who renders until an error is small or the time is up, or goes on later.
+pixel has in all, which isn't known if a render stops at an error or after a time, or is continued later.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ RECORDED_SAMPLES = 2**24
 """The samples of the largest rounds whose kernels are recorded: tracing them matters less and less in larger ones."""
 
 PORTION = 2**8
-"""The lanes of recorded kernels that a thread takes at a time: then none waits long for the last portion of a round."""
+"""The lanes of recorded kernels that a thread takes at a time: few, so that none waits long at the end of a round."""
 
 
 def round_seed(seed: int, number: int) -> int:
@@ -93,7 +93,7 @@ class Rounds:
 
     @property
     def small(self) -> bool:
-        """Whether a round is known to be small enough to be computed in one band."""
+        """True if a round is known to be small enough to be computed in one band."""
         return self._job is not None
 
     def begin(self, seed: int, spp: int = 0, watched: bool = False) -> Callable[[], RoundSums]:
@@ -166,13 +166,13 @@ class Rounds:
 def inputs(*holders: Holder) -> list[Any]:
     """The arrays that kernels read of some objects, as they are now.
 
-    A frozen function that was given the objects would look through them at each call.
+    A frozen function that took the objects would traverse them at each call.
     """
     return [array for holder in holders for array in holder.held[1:]]
 
 
 def can_be_recorded(job: Job) -> bool:
-    """Whether the kernels of a round can be launched again without Python.
+    """True if the kernels of a round can be launched again without Python.
 
     Integrators that aren't pure, and samplers without streams, may do anything between kernels, and parameters with
     gradients may change.

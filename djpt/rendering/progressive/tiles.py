@@ -35,13 +35,13 @@ __all__ = [
 ]
 
 SIDE = 8
-"""The largest width and height of a tile: small enough for what is noisy, large enough to know its variance."""
+"""The maximum width and height of a tile: small enough to isolate noise, large enough to estimate its variance."""
 
 ROWS = 8
-"""The rows of tiles that are added up at once: what that takes is small beside an image."""
+"""The rows of tiles that are added up at once: few, so that temporary arrays are small beside an image."""
 
 TOGETHER = 2**8
-"""The tiles whose films are computed with at once: what is needed meanwhile is small beside the sums."""
+"""The tiles whose films are processed at once: few, so that temporary arrays are small beside the sums."""
 
 FIRST = 4
 """The surveys that come first: two of each half."""
@@ -53,7 +53,7 @@ LEAST = 0.1
 """The least standard deviation that is assumed of a tile, in means of all: surveys may have missed what is rare."""
 
 MOST = 2**12 - 1
-"""The most times that a round samples a tile."""
+"""The maximum number of times that a round samples a tile."""
 
 Counts = npt.NDArray[np.int64]
 Doubles = npt.NDArray[np.float64]
@@ -70,7 +70,7 @@ class Tiles:
     border: int
     """The border of the film, in pixels."""
     reach: int
-    """How many pixels away from its own pixel a sample counts: 0 with the box filter."""
+    """The distance in pixels up to which a sample counts beyond its own pixel: 0 with the box filter."""
 
     @property
     def columns(self) -> int:
@@ -142,12 +142,12 @@ class Tiles:
         return image
 
     def parts(self) -> Iterator[slice]:
-        """Some tiles after the other, so that what is computed of them is small beside their sums."""
+        """Groups of tiles in turn, so that temporary arrays are small beside their sums."""
         for start in range(0, self.count, TOGETHER):
             yield slice(start, start + TOGETHER)
 
     def parted(self, image: npt.NDArray[Number]) -> npt.NDArray[Number]:
-        """What each tile's film sees of an image of the crop, (height, width): (tile, row, column); 0 outside."""
+        """The part of an image of the crop, (height, width), on each tile's film: (tile, row, column); 0 outside."""
         whole = np.zeros(
             (self.rows * self.height + 2 * self.reach, self.columns * self.width + 2 * self.reach), image.dtype
         )
@@ -195,7 +195,7 @@ class TileSums:
         return np.concatenate([part[number] for part in self.parts])
 
     def by_tiles(self) -> Iterator[tuple[Counts, Floats]]:
-        """Some tiles after the other, and their films (channels and weight, places, height, width).
+        """Groups of tiles in turn, and their films (channels and weight, places, height, width).
 
         All films of a tile come together.
         """
@@ -222,7 +222,7 @@ def half_of(number: int) -> int:
 
 
 def is_survey(number: int) -> bool:
-    """Whether a round samples all tiles alike."""
+    """True if a round samples all tiles alike."""
     return number < FIRST or number % EVERY < 2
 
 
@@ -232,7 +232,7 @@ def surveys(rounds: int, half: int) -> int:
 
 
 def shares(tiles: Tiles, taken: Counts, variances: Doubles, places: int) -> Counts:
-    """How often a round of a half samples each tile.
+    """The number of times that a round of a half samples each tile.
 
     The mean squared error of the image, the sum of variance / count over the tiles, is least for counts in proportion
     to the standard deviations: tiles are sampled that have less than this fraction.
@@ -258,7 +258,7 @@ def shares(tiles: Tiles, taken: Counts, variances: Doubles, places: int) -> Coun
 def smoothed(variances: Doubles) -> Doubles:
     """Three quarters of each tile's variance, and one of the mean of the 3 x 3 tiles around it.
 
-    Few surveys know little of a single tile.
+    A few surveys say little about a single tile.
     """
     rows, columns = variances.shape
     around = np.zeros((rows + 2, columns + 2))

@@ -1,4 +1,4 @@
-"""`render_to_file`: images that are written while they are computed, so that they may be larger than the memory."""
+"""`render_to_file`: images that are written while they are computed, so that they may exceed the memory."""
 
 from __future__ import annotations
 
@@ -79,8 +79,8 @@ def render_to_file(
             ``Software``, ``integrator``, ``sampler``, ``sensor``, ``spp``, ``seed`` and ``seconds``.
         convert: Called with parts of the image from top to bottom, (rows, width, channels) of linear values; the
             array that it returns is written in place of a part: with tone mapping, say, or with fewer channels.
-        convert_at_once: Whether `convert` is called once, with the whole image, which is in memory then.
-        keep_partial: Whether the file is written if a signal ends the render. Where the sums of all pixels fit into
+        convert_at_once: Call `convert` once, with the whole image, which is in memory then.
+        keep_partial: Write the file even if a signal ends the render. Where the sums of all pixels fit into
             the memory, all pixels have the same fraction of their samples then; otherwise the rows that are finished
             have all of theirs, and the rest is black. The ``spp`` of the metadata is the mean number per pixel.
 
@@ -98,7 +98,7 @@ def render_to_file(
     width, height = film.crop_size()
     names = channel_names(scene, settings.sensor, settings.integrator)
     if not names:
-        raise RenderError(f"{film.id()}: there are no channels to be written")
+        raise RenderError(f"{film.id()}: there are no channels to write")
     count = len(names) if convert is None else np.asarray(convert(np.zeros((1, 1, len(names)), np.float32))).shape[2]
     stored = names[:count] if target.suffix.lower() == ".exr" else None
     found = {**facts(settings, sensor), "seconds": "0.00"}
@@ -124,11 +124,11 @@ def render_to_file(
         if interruption.requested and interruption.total:
             found["spp"] = f"{found['spp'] * interruption.done / interruption.total:.6g}"
         file.close(labels())
-    interruption.leave(f"'{target}' has what exists")
+    interruption.leave(f"'{target}' holds the partial image")
 
 
 def parts_of_image(scene: Scene, settings: RenderSettings, streamed: bool) -> Iterator[Pixels]:
-    """The rows of an image from top to bottom, some at a time; fewer if a signal has come and what exists is kept."""
+    """The rows of an image from top to bottom, some at a time; fewer if a signal ends the render early."""
     if type(settings.integrator).render is not Integrator.render:
         yield image_by_itself(scene, None, settings).numpy()
         return

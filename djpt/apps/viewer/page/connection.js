@@ -18,7 +18,7 @@ export function connect({ onFrame, onMessage, onState }) {
       else onFrame(frame(data));
     };
     socket.onclose = () => {
-      onState("no connection to djpt: trying again; when djpt view is started again, open its new address");
+      onState("no connection to djpt, retrying; if djpt view is restarted, open its new address");
       setTimeout(open, RETRY);
     };
   }

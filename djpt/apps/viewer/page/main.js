@@ -90,7 +90,7 @@ function showPixel() {
 
 function showPaused(now) {
   paused = now;
-  part("pause").textContent = paused ? "go on" : "pause";
+  part("pause").textContent = paused ? "continue" : "pause";
 }
 
 function pause() {
