@@ -18,6 +18,7 @@ PATH = re.compile(r"(?<![\w/.-])(?:djpt|integrators|materials|scenes|validation|
 FILE = re.compile(r"`(\w+\.py)`")
 NAME = re.compile(r"(?<![\w/.-])djpt(?:\.[a-zA-Z_]\w*)+")
 INCLUDED = re.compile(r"\{(?:literal)?include\} (\S+)")
+LISTING = re.compile(r"\{literalinclude\} (\S+)\n((?::[\w-]+:.*\n)*)")
 TABLE = re.compile(r"^\.\. autosummary::\n\n((?:   \S+\n)+)", re.MULTILINE)
 
 PAGES = [name for name in [*MARKDOWN, *tracked("*.ipynb")] if name != "CHANGELOG.md"]
@@ -90,3 +91,18 @@ def test_chapters_of_the_reference_are_rooms() -> None:
     assert len(listed) > 400
     assert len(set(listed)) == len(listed)
     assert [name for name in listed if present_path(name)] == []
+
+
+@pytest.mark.parametrize("page", [name for name in PAGES if name.endswith(".md")])
+def test_listings_show_what_there_is(page: str) -> None:
+    """Objects and lines that a listing begins or ends at are in its file."""
+    for file, options in LISTING.findall((ROOT / page).read_text()):
+        source = ((ROOT / page).parent / file).read_text()
+        for option, value in re.findall(r"^:([\w-]+): (.+)$", options, re.MULTILINE):
+            if option == "pyobject":
+                assert re.search(rf"^ *(def|class) {value.rpartition('.')[2]}\b", source, re.MULTILINE), (file, value)
+                assert all(re.search(rf"^class {name}\b", source, re.MULTILINE) for name in value.split(".")[:-1]), (
+                    value
+                )
+            elif option in ("start-at", "start-after", "end-at", "end-before"):
+                assert value.strip('"') in source, (file, value)
