@@ -68,7 +68,8 @@ def source() -> str:
             if block.startswith(" "):
                 continue  # lines to add to a file
             for node in ast.parse(block).body:
-                registers = isinstance(node, ast.Expr) and "register_" in ast.unparse(node)
+                # Shapes are left out: other tests have plugins of other kinds with their names.
+                registers = isinstance(node, ast.Expr) and re.search("register_(bsdf|integrator)", ast.unparse(node))
                 if registers or isinstance(node, ast.Import | ast.ImportFrom | ast.ClassDef):
                     code.append(ast.unparse(node))
     futures = [line for line in dict.fromkeys(code) if line.startswith("from __future__")]
