@@ -212,7 +212,7 @@ def test_what_does_not_fit_is_refused() -> None:
         optimize(scene, KEY, targets, loss="l1", **newton)
     with pytest.raises(RenderError, match="found a function"):
         optimize(scene, KEY, targets, loss=lambda a, b: dr.mean(a - b, axis=None), **newton)
-    with pytest.raises(ParameterError, match="found a function as prior"):
+    with pytest.raises(ParameterError, match="supports only the priors 'smooth' and 'tv', found a function"):
         optimize(scene, KEY, targets, priors={KEY: (lambda p: dr.sum(p), 1.0)}, **newton)
     with pytest.raises(RenderError, match="did you mean 'gauss_newton'"):
         optimize(scene, KEY, targets, optimizer="gauss_neuton")
