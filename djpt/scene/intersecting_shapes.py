@@ -40,7 +40,7 @@ def may_intersect(a: Any, b: Any) -> bool:
     low_a, high_a = box_of(a)
     low_b, high_b = box_of(b)
     least = CLOSE * min(float(np.linalg.norm(high_a - low_a)), float(np.linalg.norm(high_b - low_b)))
-    gap = widest_gap(a, b)
+    gap = widest_gap(a, b, least)
     if gap > least or (gap > -least and touch_in_a_point(a, b)):
         return False
     if is_within(a, b, least) or is_within(b, a, least):
@@ -61,13 +61,18 @@ def touch_in_a_point(a: Any, b: Any) -> bool:
     return any(is_sphere(x) and (is_sphere(y) or y.plane() is not None) for x, y in ((a, b), (b, a)))
 
 
-def widest_gap(a: Any, b: Any) -> float:
-    """The largest gap between two shapes along any of some directions; below zero if they overlap in all of them."""
-    return max(
-        max(low_a - high_b, low_b - high_a)
-        for direction in directions(a, b)
-        for (low_a, high_a), (low_b, high_b) in [(a.interval(direction), b.interval(direction))]
-    )
+def widest_gap(a: Any, b: Any, enough: float) -> float:
+    """The largest gap between two shapes along any of some directions, or the first one above `enough`.
+
+    It is below zero if the shapes overlap in all directions. Those of meshes are looked at vertex by vertex.
+    """
+    widest = -np.inf
+    for direction in directions(a, b):
+        (low_a, high_a), (low_b, high_b) = a.interval(direction), b.interval(direction)
+        widest = max(widest, low_a - high_b, low_b - high_a)
+        if widest > enough:
+            break
+    return float(widest)
 
 
 def directions(a: Any, b: Any) -> Iterator[Floats]:

@@ -125,10 +125,14 @@ def sharp_shadows(rendering: Rendering) -> Iterator[str]:
 def intersections(rendering: Rendering) -> Iterator[str]:
     """Shapes that a moving one cuts or touches."""
     moving = {id(shape) for shape in rendering.moving}
+    moved: list[Any] = []  # of those before
     for i, shape in enumerate(rendering.seen):
-        for other in rendering.seen[:i]:
-            if (id(shape) in moving or id(other) in moving) and may_intersect(shape, other):
+        moves = id(shape) in moving
+        for other in rendering.seen[:i] if moves else moved:
+            if may_intersect(shape, other):
                 yield f"'{shape.id()}' and '{other.id()}' intersect or touch"
+        if moves:
+            moved.append(shape)
 
 
 def shadows_on_moving(rendering: Rendering) -> Iterator[str]:
