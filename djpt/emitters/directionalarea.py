@@ -13,7 +13,7 @@ from djpt.description.properties import Properties
 from djpt.description.registry import register_emitter
 from djpt.emitters.base import Emitter
 from djpt.emitters.bounds import LightBounds
-from djpt.emitters.extent import area_of, box_of, mean_of, normals_of, require_area
+from djpt.emitters.extent import area_of, mean_of, normals_of, require_area
 from djpt.errors import SceneError
 from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, UInt32, Vector3f
 
@@ -56,7 +56,8 @@ class DirectionalArea(Emitter):
         return mean_of(self.radiance) * area_of(self.shape, self._scene)
 
     def bounds(self) -> LightBounds:
-        return LightBounds(*box_of(self.shape), *normals_of(self.shape), 0.0, self.power())
+        low, high = self.shape.world_box()
+        return LightBounds(low, high, *normals_of(self.shape), 0.0, self.power())
 
     # ---- in kernels --------------------------------------------------------------------
 

@@ -14,7 +14,7 @@ from djpt.errors import SceneError
 from djpt.shapes import Shape
 from djpt.textures import Texture
 
-__all__ = ["area_of", "box_of", "mean_of", "normals_of", "number", "require_area"]
+__all__ = ["area_of", "mean_of", "normals_of", "number", "require_area"]
 
 Vector = NDArray[np.float64]
 
@@ -29,17 +29,11 @@ def mean_of(texture: Texture) -> float:
     return number(texture.mean())
 
 
-def box_of(shape: Shape) -> tuple[Vector, Vector]:
-    """The corners of the box about a shape; infinite for planes."""
-    low, high = np.array([shape.interval(unit) for unit in np.eye(3)]).T
-    return low, high
-
-
 def area_of(shape: Shape, scene: tuple[Vector, Vector]) -> float:
     """The area of a shape; if unknown, that of the box about its part in the box `scene`."""
     if shape.has_area:
         return number(shape.surface_area())
-    low, high = box_of(shape)
+    low, high = shape.world_box()
     x, y, z = np.maximum(np.minimum(high, scene[1]) - np.maximum(low, scene[0]), 0)
     return float(2 * (x * y + y * z + z * x))
 

@@ -443,8 +443,8 @@ def size(shape: Shape) -> float:
     # Measured on a copy: the first `place` of a shape decides which axes it shares.
     copied = copy.copy(shape)
     copied.place(AxisPool())
-    intervals = np.array([copied.interval(unit) for unit in np.eye(3)])
-    return float(np.linalg.norm(intervals[:, 1] - intervals[:, 0]))
+    low, high = copied.world_box()
+    return float(np.linalg.norm(high - low))
 
 
 def unseen(shape: Shape) -> bool:

@@ -157,9 +157,9 @@ def kind_of(shape: Shape) -> int:
 
 def solid_box(shape: Shape) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """The box about an analytic shape."""
-    intervals = np.array([shape.interval(unit) for unit in np.eye(3)])
-    margin = 1e-6 * (np.abs(intervals).max() + 1e-30)
-    return intervals[:, 0] - margin, intervals[:, 1] + margin
+    low, high = shape.world_box()
+    margin = 1e-6 * (np.abs([low, high]).max() + 1e-30)
+    return low - margin, high + margin
 
 
 def placed_box(extent: Extent, to_world: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

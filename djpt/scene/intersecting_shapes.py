@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from djpt.shapes.shape_type import ShapeType
 
-__all__ = ["between", "box_of", "is_convex", "may_intersect"]
+__all__ = ["between", "is_convex", "may_intersect"]
 
 Floats = NDArray[np.float64]
 
@@ -24,12 +24,6 @@ MOST_PAIRS = 1 << 24
 """The pairs of triangles, or of triangles and vertices, that are looked at; beyond, shapes count as intersecting."""
 
 
-def box_of(shape: Any) -> tuple[Floats, Floats]:
-    """The corners of the axis-aligned box around a shape, each (3,)."""
-    intervals = np.array([shape.interval(unit) for unit in np.eye(3)], np.float64)
-    return intervals[:, 0], intervals[:, 1]
-
-
 def may_intersect(a: Any, b: Any) -> bool:
     """Whether two shapes may have points in common; False only if they certainly don't.
 
@@ -37,8 +31,8 @@ def may_intersect(a: Any, b: Any) -> bool:
     keep clear of each other. Shapes that touch count as intersecting, but for a sphere that touches a flat shape or
     another sphere: they share a point, and no curve.
     """
-    low_a, high_a = box_of(a)
-    low_b, high_b = box_of(b)
+    low_a, high_a = a.world_box()
+    low_b, high_b = b.world_box()
     least = CLOSE * min(float(np.linalg.norm(high_a - low_a)), float(np.linalg.norm(high_b - low_b)))
     gap = widest_gap(a, b, least)
     if gap > least or (gap > -least and touch_in_a_point(a, b)):
@@ -81,7 +75,7 @@ def directions(a: Any, b: Any) -> Iterator[Floats]:
     for shape in (a, b):
         if shape.plane() is not None:
             yield shape.plane()[0]
-    (low_a, high_a), (low_b, high_b) = box_of(a), box_of(b)
+    (low_a, high_a), (low_b, high_b) = a.world_box(), b.world_box()
     across = low_a + high_a - low_b - high_b
     if np.isfinite(across).all() and across.any():
         yield across / np.linalg.norm(across)
@@ -93,9 +87,9 @@ def directions(a: Any, b: Any) -> Iterator[Floats]:
 
 def is_within(inner: Any, outer: Any, least: float) -> bool:
     """Whether a shape lies inside of a sphere or a cube, clear of its surface."""
-    low, high = box_of(inner)
+    low, high = inner.world_box()
     if is_sphere(outer):
-        low_o, high_o = box_of(outer)
+        low_o, high_o = outer.world_box()
         center, radius = (low_o + high_o) / 2, float((high_o - low_o)[0]) / 2
         corner = np.maximum(np.abs(low - center), np.abs(high - center))
         return bool(np.linalg.norm(corner) < radius - least)
@@ -156,7 +150,7 @@ def between(shape: Any, a: tuple[Floats, Floats], b: tuple[Floats, Floats]) -> b
     The hull consists of the boxes (1 - t) a + t b, 0 <= t <= 1: along each axis those that overlap an interval belong
     to an interval of t.
     """
-    low, high = box_of(shape)
+    low, high = shape.world_box()
     least = CLOSE * max(float(np.linalg.norm(a[1] - a[0])), 1e-6)
     begin, end = 0.0, 1.0
     for axis in range(3):

@@ -177,6 +177,11 @@ class Shape(ShapeQuestions):
         """The smallest and largest coordinate of the shape's points along `direction`."""
         raise NotImplementedError
 
+    def world_box(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The corners of the axis-aligned box around the shape in world space, (3,) each; infinite for planes."""
+        low, high = np.array([self.interval(unit) for unit in np.eye(3)], np.float64).T
+        return low, high
+
     def plane(self) -> tuple[NDArray[np.float64], float] | None:
         """(normal, offset) if the whole shape lies in one plane, else None."""
         return None

@@ -142,8 +142,8 @@ class ShapeQuestions(TextureAttributes, SilhouetteQuestions):
     def _box(self, index: int | None) -> tuple[Any, Any]:
         if index is not None and not 0 <= index < self.primitive_count():
             raise SceneError(f"{self.id()}: there are {self.primitive_count()} primitives, found the index {index}")
-        intervals = np.array([self.interval(unit) for unit in np.eye(3)])  # type: ignore[attr-defined]
-        return intervals[:, 0], intervals[:, 1]
+        found: tuple[Any, Any] = self.world_box()  # type: ignore[attr-defined]
+        return found
 
     # ---- rays -----------------------------------------------------------------------------
 

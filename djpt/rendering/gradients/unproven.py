@@ -18,7 +18,7 @@ from djpt.description.plugin import Plugin
 from djpt.description.registry import name_of
 from djpt.errors import RenderError
 from djpt.jit.frozen import recording
-from djpt.scene.intersecting_shapes import between, box_of, is_convex, may_intersect
+from djpt.scene.intersecting_shapes import between, is_convex, may_intersect
 
 if TYPE_CHECKING:
     from djpt.integrators.base import Integrator
@@ -144,7 +144,7 @@ def shadows_on_moving(rendering: Rendering) -> Iterator[str]:
             for other in rendering.seen:
                 if light is shape or other is light or id(other) in moving:
                     continue
-                if between(other, box_of(shape), box_of(light)):
+                if between(other, shape.world_box(), light.world_box()):
                     yield f"'{other.id()}' may throw a shadow of the lamp '{light.id()}' on '{shape.id()}'"
 
 

@@ -80,15 +80,10 @@ def bounded(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     if len(shapes) > MANY:
         boxes, shining = np.array([scene.geometry.bounding_box()]), np.array([False])
     else:
-        boxes = np.array([box(shape) for shape in shapes]).reshape(-1, 2, 3)
+        boxes = np.array([shape.world_box() for shape in shapes]).reshape(-1, 2, 3)
         shining = np.array([shape.emitter() is not None for shape in shapes], bool)
     finite = np.isfinite(boxes).all(axis=(1, 2))
     return boxes[finite], shining[finite]
-
-
-def box(shape: Any) -> NDArray[np.float64]:
-    """The corners of the box about a shape, (2, 3)."""
-    return np.array([shape.interval(unit) for unit in np.eye(3)]).T
 
 
 def around(boxes: NDArray[np.float64]) -> NDArray[np.float64]:
