@@ -14,7 +14,7 @@ from djpt.errors import SceneError, near_miss
 
 __all__ = ["NAMES", "VARIABLE", "asked_for", "ray_queries"]
 
-NAMES = ("auto", "call", "steps")
+NAMES = ("auto", "rings", "call", "steps")
 
 VARIABLE = "DJPT_RAY_QUERIES"
 """The environment variable for one of `NAMES`."""
@@ -24,7 +24,7 @@ _forced: ContextVar[str | None] = ContextVar("ray_queries", default=None)
 
 @contextmanager
 def ray_queries(name: str) -> Iterator[None]:
-    """Let scenes that are loaded inside trace rays in one of the ways `auto`, `call`, `steps`.
+    """Let scenes that are loaded inside trace rays in one of the ways `auto`, `rings`, `call`, `steps`.
 
     Raises:
         SceneError: Another name.

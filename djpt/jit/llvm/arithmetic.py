@@ -15,6 +15,7 @@ __all__ = [
     "abs",
     "all_of",
     "any_of",
+    "bit_count",
     "bit_length",
     "copysign",
     "fma",
@@ -97,6 +98,11 @@ def lowest_bit(bits: Value) -> Value:
     """The number of the lowest bit that is set; unspecified if none is."""
     function = bits.function
     return function.intrinsic("cttz", [bits, function.constant(I1, 1)], bits.type)
+
+
+def bit_count(x: Value) -> Value:
+    """The number of bits that are set."""
+    return x.function.intrinsic("ctpop", [x], x.type)
 
 
 def bit_length(x: Value) -> Value:

@@ -26,15 +26,17 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 from djpt.errors import DjptError
-from djpt.jit.llvm.values import F32, F64, I1, I8, I32, I64, PTR, Array, Operand, Type, Value, Variable, vector
+from djpt.jit.llvm.values import F32, F64, I1, I8, I16, I32, I64, PTR, Array, Operand, Type, Value, Variable, vector
 
 __all__ = [
     "F32",
     "F64",
     "I1",
     "I8",
+    "I16",
     "I32",
     "I64",
+    "LINE",
     "PTR",
     "Array",
     "Function",
@@ -46,6 +48,9 @@ __all__ = [
     "Variable",
     "vector",
 ]
+
+LINE = 64
+"""Bytes of a cache line."""
 
 
 class Loop:
@@ -159,10 +164,20 @@ class Function:
         self._write(f"call void @llvm.prefetch.p0({address}, i32 0, i32 3, i32 1)")
 
     def intrinsic(self, name: str, arguments: Sequence[Value], result: Type, suffix: str | None = None) -> Value:
-        """Call a function that is built into LLVM, such as sqrt; its name ends in the type of the result."""
-        full = f"llvm.{name}.{result.suffix if suffix is None else suffix}"
+        """Call a function that is built into LLVM, such as sqrt.
+
+        Its name ends in the type of the result, or in another `suffix`. Instructions of processors have none: "".
+        """
+        suffix = result.suffix if suffix is None else suffix
+        full = f"llvm.{name}.{suffix}" if suffix else f"llvm.{name}"
         self.module.declare(f"declare {result} @{full}({', '.join(str(a.type) for a in arguments)})")
         return self.emit(f"call {result} @{full}({', '.join(str(a) for a in arguments)})", result)
+
+    def table(self, name: str, element: Type, numbers: Sequence[int]) -> Value:
+        """The address of constant integers in memory, which the functions of a module share by their `name`."""
+        listed = ", ".join(f"{element} {integer_text(number, element.bits)}" for number in numbers)
+        self.module.declare(f"@{name} = internal constant [{len(numbers)} x {element}] [{listed}], align {LINE}")
+        return Value(self, PTR, f"@{name}")
 
     def call(self, name: str, arguments: Sequence[Value], result: Type | None = None) -> Value | None:
         """Call an internal function of the module."""

@@ -11,7 +11,7 @@ from djpt.errors import DjptError
 if TYPE_CHECKING:
     from djpt.jit.llvm.ir import Function
 
-__all__ = ["F32", "F64", "I1", "I8", "I32", "I64", "PTR", "Array", "Operand", "Type", "Value", "Variable", "vector"]
+__all__ = ["F32", "F64", "I1", "I8", "I16", "I32", "I64", "PTR", "Array", "Operand", "Type", "Value", "Variable", "vector"]
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Type:
         return Type(self.kind, self.bits)
 
 
-I1, I8, I32, I64 = (Type("i", bits) for bits in (1, 8, 32, 64))
+I1, I8, I16, I32, I64 = (Type("i", bits) for bits in (1, 8, 16, 32, 64))
 F32, F64 = Type("f", 32), Type("f", 64)
 PTR = Type("ptr", 64)
 

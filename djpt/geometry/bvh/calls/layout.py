@@ -26,10 +26,12 @@ from __future__ import annotations
 __all__ = [
     "ANY_HIT",
     "CHILDREN",
+    "CHILD_ROW",
     "HEADER_ROWS",
     "LEAF",
     "LEAF_ROWS",
     "NODE_ROWS",
+    "NUMBER_ROW",
     "PASSES_LIGHTS",
     "PLACED",
     "REFERENCE",
@@ -42,6 +44,9 @@ ROW_WORDS, ROW_BYTES = 8, 32
 HEADER_ROWS, NODE_ROWS, LEAF_ROWS = 8, 8, 10
 CHILDREN = 8
 """The children of a node, and the triangles of a leaf."""
+
+CHILD_ROW, NUMBER_ROW = 6 * ROW_BYTES, 9 * ROW_BYTES
+"""The bytes from the start of a node to its references, and from that of a leaf to the numbers of its triangles."""
 
 LEAF, PLACED, REFERENCE = 0x80000000, 0xC0000000, 0x3FFFFFFF
 """The upper bits of references to leaves and to placed primitives; the bits of the row number."""

@@ -12,9 +12,10 @@ from djpt.geometry.query import LABEL, NORMAL
 from djpt.jit.llvm.arithmetic import abs, copysign, fma, maximum, minimum, select
 from djpt.jit.llvm.ir import F32, I32, I64, Function, Type, Value, vector
 
-__all__ = ["BoxRay", "Features", "Placed", "PlaneRay", "RayTerms", "TriangleTest", "Triple"]
+__all__ = ["ROW", "BoxRay", "Features", "Placed", "PlaneRay", "RayTerms", "TriangleTest", "Triple"]
 
 ROW = vector(F32, CHILDREN)
+"""A number for each child of a node, or for each triangle of a leaf."""
 
 SMALL = 1e-18
 """Components of directions closer to 0 are replaced: 0 x inf would arise where the origin lies in a plane of a box."""
@@ -139,7 +140,7 @@ class TriangleTest:
 
     def __init__(self, edges: tuple[Value, Value, Value], heights: Sequence[Value], inverse: Value) -> None:
         w0, w1, w2 = edges
-        self._edges, self._heights, self._inverse = edges, heights, inverse
+        self.edges, self.heights, self._inverse = edges, heights, inverse
         self.inside = (minimum(minimum(w0, w1), w2) >= 0.0) | (maximum(maximum(w0, w1), w2) <= 0.0)
         """Where the line through the ray meets a triangle, edges included; false for NaN."""
 
@@ -149,8 +150,8 @@ class TriangleTest:
         A distance is a convex combination of the corners' own, so that even a sliver seen edge-on doesn't give
         one far off.
         """
-        w0, w1, w2 = self._edges
-        z0, z1, z2 = self._heights
+        w0, w1, w2 = self.edges
+        z0, z1, z2 = self.heights
         inverse = 1.0 / (w0 + w1 + w2)
         t = fma(w0, z0, fma(w1, z1, w2 * z2)) * inverse * self._inverse
         return t, w1 * inverse, w2 * inverse

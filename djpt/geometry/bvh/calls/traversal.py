@@ -17,14 +17,25 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from djpt.geometry.bvh.calls.layout import ANY_HIT, CHILDREN, LEAF, LEAF_ROWS, PLACED, REFERENCE, ROOT, ROW_BYTES
+from djpt.geometry.bvh.calls.layout import (
+    ANY_HIT,
+    CHILD_ROW,
+    CHILDREN,
+    LEAF,
+    LEAF_ROWS,
+    NUMBER_ROW,
+    PLACED,
+    REFERENCE,
+    ROOT,
+    ROW_BYTES,
+)
 from djpt.geometry.bvh.calls.ray import BoxRay, Features, Placed, PlaneRay, RayTerms, TriangleTest, Triple
 from djpt.geometry.bvh.steps.records import SOLID
 from djpt.geometry.canonical import PIECE, hit_kind
 from djpt.geometry.query import DETAIL, LABEL, RADII
 from djpt.jit.llvm import arithmetic
 from djpt.jit.llvm.arithmetic import any_of, lowest_bit, select
-from djpt.jit.llvm.ir import F32, I8, I32, I64, PTR, Function, Loop, Module, Type, Value, Variable, vector
+from djpt.jit.llvm.ir import F32, I8, I32, I64, LINE, PTR, Function, Loop, Module, Type, Value, Variable, vector
 
 __all__ = [
     "ANY",
@@ -43,11 +54,6 @@ CLOSEST, ANY = "closest", "any"
 
 STACK = 512
 """Entries of the stack: seven for each level that a builder may make, and the last node's."""
-
-CHILD_ROW, NUMBER_ROW = 6 * ROW_BYTES, 9 * ROW_BYTES
-
-LINE = 64
-"""Bytes of a cache line."""
 
 FIELDS = {"o": 0, "d": 4, "maxt": 8, "flags": 9}
 """The first array of each part of a ray, among those of Dr.Jit's packets."""

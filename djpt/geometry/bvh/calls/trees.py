@@ -5,6 +5,7 @@ from __future__ import annotations
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
+from collections.abc import Callable
 from typing import Any
 
 import drjit as dr
@@ -19,6 +20,7 @@ from djpt.geometry.bvh.build.rows import corners_of, write_rows
 from djpt.geometry.bvh.build.wide import REBUILD
 from djpt.geometry.bvh.calls.layout import ANY_HIT, PASSES_LIGHTS, REFERENCE, ROW_WORDS
 from djpt.geometry.bvh.calls.ray import Features
+from djpt.geometry.bvh.calls.rings import ring_functions
 from djpt.geometry.bvh.calls.traversal import ANY_OF_PACKET, CLOSEST_OF_PACKET, packet_functions
 from djpt.geometry.bvh.leaves import Extent, MeshPart, PlacedLeaves
 from djpt.geometry.query import NONE, Found
@@ -26,10 +28,20 @@ from djpt.geometry.recentre import enter
 from djpt.jit.kernels import aligned, as_float, as_vector
 from djpt.jit.llvm.calls import Code, call, reason_against
 from djpt.jit.llvm.compiler import compiled
-from djpt.jit.llvm.lanes import lane_count, target
+from djpt.jit.llvm.lanes import instruction_set, lane_count, target
 from djpt.jit.types import ArrayXu, Bool, Float, Point2f, Point3f, UInt32, Vector3f
 
-__all__ = ["CompiledTree", "CompiledTrees", "Functions", "Met", "call_any", "call_closest", "functions", "why_not"]
+__all__ = [
+    "SEARCHES",
+    "CompiledTree",
+    "CompiledTrees",
+    "Functions",
+    "Met",
+    "call_any",
+    "call_closest",
+    "functions",
+    "why_not",
+]
 
 # ---- calls -------------------------------------------------------------------------------------------------------
 
@@ -175,29 +187,39 @@ def flags_of(any_hit: Bool | None, through_lights: Bool | None) -> UInt32:
 # ---- compiled functions ------------------------------------------------------------------------------------------
 
 
-@cache
-def functions(features: Features) -> Functions:
-    """The functions for scenes with some features, compiled at the first call."""
-    return Functions(*(Code.at(address) for address in addresses(features)))
+SEARCHES: dict[str, Callable[[int, Features], str]] = {"rings": ring_functions, "call": packet_functions}
+"""The searches in LLVM's language, the fastest first: of the rays of a packet side by side, or one after the other."""
 
 
 @cache
-def addresses(features: Features) -> tuple[int, int]:
+def functions(features: Features, search: str) -> Functions:
+    """The functions of one of `SEARCHES` for scenes with some features, compiled at the first call."""
+    return Functions(*(Code.at(address) for address in addresses(features, search)))
+
+
+@cache
+def addresses(features: Features, search: str) -> tuple[int, int]:
     """Where the functions for the closest hit and for any hit are in memory."""
-    found = compiled(packet_functions(lane_count(), features), (CLOSEST_OF_PACKET, ANY_OF_PACKET))
+    found = compiled(SEARCHES[search](lane_count(), features), (CLOSEST_OF_PACKET, ANY_OF_PACKET))
     return found[CLOSEST_OF_PACKET], found[ANY_OF_PACKET]
 
 
 @cache
-def why_not() -> str | None:
-    """What stands against compiled ray queries on this machine; None if they work.
+def why_not(search: str) -> str | None:
+    """What stands against one of `SEARCHES` on this machine; None if it works.
 
     Found out at the first call, by rays whose hits are known.
     """
-    return reason_against(proved, "rays with known hits got other results")
+    if search == "rings" and instruction_set() not in RING_SETS:
+        return "the processor, or Dr.Jit's packets, lack AVX2"
+    return reason_against(lambda: proved(search), "rays with known hits got other results")
 
 
-def proved() -> bool:
+RING_SETS = ("AVX-512", "AVX2")
+"""The instruction sets by which vectors can be compressed."""
+
+
+def proved(search: str) -> bool:
     """Whether rays through a stack of triangles get the hits that follow from how it was made."""
     count, misses = 40, 3
     corner = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32)
@@ -206,11 +228,11 @@ def proved() -> bool:
     # Threads compile the functions that search and those that build.
     target()  # which other threads may not be able to ask for
     with ThreadPoolExecutor(1) as team:
-        searches = team.submit(addresses, Features())
+        searches = team.submit(addresses, Features(), search)
         built = build(corners)
         searches.result()
     built.memory[0] = 0
-    memory, own = UInt32(built.memory), functions(Features())
+    memory, own = UInt32(built.memory), functions(Features(), search)
     lane = dr.arange(UInt32, count + misses)
     exists = lane < count
     x, z = Float(2 * lane), Float(lane)
@@ -247,7 +269,9 @@ class Tree:
 class CompiledTrees:
     """The trees of a scene: number 0 over the world, the others over its groups."""
 
-    def __init__(self) -> None:
+    def __init__(self, search: str) -> None:
+        """`search` is one of `SEARCHES`."""
+        self._search = search
         self._trees: dict[int, Tree] = {}
 
     def fit(self, number: int, part: MeshPart, boxes: NDArray[np.float32]) -> Extent:
@@ -303,7 +327,7 @@ class CompiledTrees:
             placed.write(table, every.view(np.uint32), every, extent.center)
         return CompiledTree(
             UInt32(rows.ravel()),
-            functions(Features(len(trees) > 1, kinds, lights, one_sided)),
+            functions(Features(len(trees) > 1, kinds, lights, one_sided), self._search),
             as_vector(extent.center.astype(np.float64)),
             as_float(0.50001 * extent.diagonal),
             extent.diagonal,
