@@ -16,6 +16,7 @@ import house
 import illumination
 import mist
 import observers
+import packets
 import proof
 import rounds
 import slopes
@@ -28,7 +29,7 @@ FIGURES = {
     name: getattr(module, name)
     for module in (
         *(proof, box, surfaces, illumination, mist, vapour, observers, estimators, ends, slopes),
-        *(experiments, rounds, window, comparison, house, chains, cards),
+        *(experiments, rounds, window, comparison, house, chains, packets, cards),
     )
     for name in module.__all__
 }

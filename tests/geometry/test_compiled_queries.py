@@ -1,4 +1,4 @@
-"""Ray queries by calls: the hits of the search by steps, and of all triangles one by one; edges; memory; the option."""
+"""Ray queries by calls: the hits of steps, and of all triangles one by one; edges; memory; the option."""
 
 from __future__ import annotations
 
@@ -19,23 +19,34 @@ from djpt.geometry.accelerators.brute_force import BruteForce
 from djpt.geometry.bvh.calls import trees
 from djpt.geometry.bvh.calls.trees import CompiledTree
 from djpt.geometry.engines import chosen, ray_queries
+from djpt.geometry.query import NONE
 from djpt.jit.llvm.calls import CallError
 from djpt.jit.types import Bool, Float, Point3f, UInt32, Vector3f
 from tests.kit.axes import unit
 from tests.kit.triangle_soups import SOUPS, sphere
 
+SEARCHES = [search for search in trees.SEARCHES if trees.why_not(search) is None]
+FASTEST = SEARCHES[0] if SEARCHES else "call"
+
 pytestmark = [
     pytest.mark.narrow,
-    pytest.mark.skipif(trees.why_not() is not None, reason="calls don't work on this machine"),
+    pytest.mark.skipif(not SEARCHES, reason="calls don't work on this machine"),
 ]
+by_rings = pytest.mark.skipif("rings" not in SEARCHES, reason="rings need AVX2")
 
 Floats = NDArray[np.float64]
 
 
-def mesh(corners: NDArray[np.float32], **props: Any) -> djpt.Mesh:
+class OneSided(djpt.Mesh):
+    """A mesh that rays pass through from behind."""
+
+    one_sided = True
+
+
+def mesh(corners: NDArray[np.float32], kind: type[djpt.Mesh] = djpt.Mesh, **props: Any) -> djpt.Mesh:
     """A mesh of separate triangles."""
     faces = np.arange(3 * len(corners)).reshape(-1, 3)
-    return djpt.Mesh("soup", corners.reshape(-1, 3), faces, props=props)
+    return kind("soup", corners.reshape(-1, 3), faces, props=props)
 
 
 def rays_at(corners: NDArray[np.float32], count: int, seed: int = 0) -> Ray3f:
@@ -56,10 +67,11 @@ def scene(ways: str, *shapes: Any, **more: Any) -> djpt.Scene:
 
 
 # Of triangles that shrink without end, which are hit is a matter of rounding.
+@pytest.mark.parametrize("search", SEARCHES)
 @pytest.mark.parametrize("name", sorted(SOUPS.keys() - {"exponential"}))
-def test_hits_are_those_of_all_triangles_one_by_one(name: str) -> None:
+def test_hits_are_those_of_all_triangles_one_by_one(name: str, search: str) -> None:
     corners = SOUPS[name]()
-    calls, ray = scene("call", mesh(corners)), rays_at(corners, 4000)
+    calls, ray = scene(search, mesh(corners)), rays_at(corners, 4000)
     t, _ = BruteForce(corners).closest(ray)
     found, expected = np.array(calls.ray_intersect_preliminary(ray).t), np.array(t)
     both = np.isfinite(found) & np.isfinite(expected)
@@ -70,17 +82,17 @@ def test_hits_are_those_of_all_triangles_one_by_one(name: str) -> None:
     assert np.mean(np.array(calls.ray_test(ray)) != np.isfinite(found)) < 1e-3
 
 
-def village(ways: str) -> djpt.Scene:
-    """Meshes, solids in the tree, and instances, some of which emit light."""
-    rng = np.random.default_rng(1)
+def village(ways: str, one_sided: bool = False) -> djpt.Scene:
+    """Meshes, solids in the tree, and instances, some of which emit light; some triangles may have one side."""
+    rng, kind = np.random.default_rng(1), OneSided if one_sided else djpt.Mesh
     kinds = ("sphere", "cube", "cylinder", "disk", "rectangle")
-    shapes: list[Any] = [mesh(sphere(2000)), mesh(sphere(500) * np.float32(0.4) + np.float32([2, 0, 0]))]
+    shapes: list[Any] = [mesh(sphere(2000), kind), mesh(sphere(500) * np.float32(0.4) + np.float32([2, 0, 0]))]
     for i in range(40):
         place = T().translate(rng.uniform(-3, 3, 3).tolist()).rotate(unit(*rng.normal(size=3)), 50.0).scale(0.2)
         shapes.append({"type": kinds[i % 5], "to_world": place})
         if i % 4 == 0:
             shapes[-1]["emitter"] = {"type": "area"}
-    group = {"type": "shapegroup", "a": mesh(sphere(800)), "b": mesh(sphere(60) + np.float32(1))}
+    group = {"type": "shapegroup", "a": mesh(sphere(800), kind), "b": mesh(sphere(60) + np.float32(1))}
     copies = {}
     for i in range(30):
         place = T().translate(rng.uniform(-3, 3, 3).tolist()).rotate(unit(*rng.normal(size=3)), 70.0)
@@ -92,12 +104,50 @@ def village(ways: str) -> djpt.Scene:
     return scene(ways, *shapes, g=group, **copies)
 
 
-def test_solids_and_instances_are_hit_as_by_steps() -> None:
+def rays_at_village(count: int) -> Ray3f:
     rng = np.random.default_rng(2)
-    o, target = rng.normal(size=(3, 30000)) * 4, rng.uniform(-3, 3, (3, 30000))
-    ray = Ray3f(Point3f(o), Vector3f(target - o))
-    results = []
-    for ways in ("call", "steps"):
+    o, target = rng.normal(size=(3, count)) * 4, rng.uniform(-3, 3, (3, count))
+    return Ray3f(Point3f(o), Vector3f(target - o))
+
+
+def words(array: Any) -> NDArray[np.uint32]:
+    return np.array(array).view(np.uint32)
+
+
+@by_rings
+@pytest.mark.parametrize("count", [10**5, pytest.param(10**7, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("one_sided", [False, True])
+def test_rings_find_what_searches_one_by_one_find(one_sided: bool, count: int) -> None:
+    """The same words: of meshes, instances of them, solids, lights that rays pass, surfaces with one side."""
+    rng = np.random.default_rng(4)
+    o, target = rng.normal(size=(3, count)) * 4, rng.uniform(-3, 3, (3, count))
+    end = np.where(rng.random(count) < 0.3, rng.uniform(0.5, 1.5, count), np.inf)
+    active, through = Bool(rng.random(count) < 0.9), Bool(rng.random(count) < 0.5)
+    found = []
+    for search in ("rings", "call"):
+        tree = village(search, one_sided).geometry.triangles.tree  # type: ignore[union-attr]
+        assert isinstance(tree, CompiledTree)
+        ray = Ray3f(Point3f(o), Vector3f(target - o), maxt=Float(end))
+        for lights in (Bool(False), through):
+            met = tree.search(ray, False, active, lights)
+            blocked = tree.search(ray, True, active, lights)
+            assert met.b is not None
+            found.append([words(x) for x in (met.t, met.record, met.inside, met.b.x, met.b.y, blocked.record)])
+    hit = found[0][1] != NONE
+    assert 0.2 < hit.mean() < 0.9
+    assert (found[0][1] != found[1][1]).any(), "no ray passed through a light"
+    for ours, theirs in ((found[0], found[2]), (found[1], found[3])):
+        hit = theirs[1] != NONE
+        for a, b in zip(ours, theirs, strict=True):
+            np.testing.assert_array_equal(a[hit], b[hit])
+        np.testing.assert_array_equal(ours[1], theirs[1])
+        np.testing.assert_array_equal(ours[-1], theirs[-1])
+
+
+@pytest.mark.parametrize("search", SEARCHES)
+def test_solids_and_instances_are_hit_as_by_steps(search: str) -> None:
+    ray, results = rays_at_village(30000), []
+    for ways in (search, "steps"):
         si = village(ways).ray_intersect(ray)
         results.append([np.array(x) for x in (si.t, si.p, si.n, si.uv, si.sh_frame.n, si.shape_index, si.prim_index)])
     hit = np.isfinite(results[0][0])
@@ -113,7 +163,7 @@ def test_solids_and_instances_are_hit_as_by_steps() -> None:
 def test_images_are_those_of_steps(schedule: str) -> None:
     """With lights in the tree that camera rays pass through, and shadow rays don't."""
     images = []
-    for ways in ("call", "steps"):
+    for ways in (FASTEST, "steps"):
         place = village(ways)
         view = {"type": "perspective", "to_world": T().look_at([0, 0, 9], [0, 0, 0], [0, 1, 0])}
         view["film"] = {"type": "hdrfilm", "width": 32, "height": 32, "rfilter": {"type": "box"}}
@@ -149,11 +199,12 @@ def closed_sphere(rows: int) -> djpt.Mesh:
     return djpt.Mesh("closed", positions, np.concatenate(faces))
 
 
+@pytest.mark.parametrize("search", SEARCHES)
 @pytest.mark.parametrize("count", [10**5, pytest.param(10**7, marks=pytest.mark.slow)])
-def test_no_ray_slips_through_edges_and_vertices(count: int) -> None:
+def test_no_ray_slips_through_edges_and_vertices(count: int, search: str) -> None:
     """Rays from inside of a closed surface, exactly at its vertices and at points of its edges."""
     ball = closed_sphere(60)
-    closed, rng = scene("call", ball), np.random.default_rng(3)
+    closed, rng = scene(search, ball), np.random.default_rng(3)
     positions, faces = ball.positions.astype(np.float64), ball.indices
     for begin in range(0, count, 10**6):
         n = min(10**6, count - begin)
@@ -171,7 +222,7 @@ def test_no_ray_slips_through_edges_and_vertices(count: int) -> None:
 
 
 def test_queries_leave_no_variables_behind(capfd: pytest.CaptureFixture[str]) -> None:
-    place, ray = scene("call", mesh(sphere(500))), rays_at(sphere(500), 100)
+    place, ray = scene(FASTEST, mesh(sphere(500))), rays_at(sphere(500), 100)
 
     def variables() -> int:
         gc.collect()
@@ -192,7 +243,7 @@ def test_queries_leave_no_variables_behind(capfd: pytest.CaptureFixture[str]) ->
 
 def test_an_edit_leaves_earlier_queries_alone() -> None:
     """What was asked before an edit, but isn't computed yet, is answered by the old geometry."""
-    place = scene("call", mesh(sphere(500)))
+    place = scene(FASTEST, mesh(sphere(500)))
     params = djpt.traverse(place)
     key = next(k for k in params if k.endswith("vertex_positions"))
     ray = Ray3f(Point3f(0, 0, 5), Vector3f(0, 0, -1))
@@ -206,7 +257,7 @@ def test_an_edit_leaves_earlier_queries_alone() -> None:
 
 
 def test_edits_compile_nothing() -> None:
-    place = scene("call", mesh(sphere(500)), sky={"type": "constant"})
+    place = scene(FASTEST, mesh(sphere(500)), sky={"type": "constant"})
     params = djpt.traverse(place)
     key = next(k for k in params if k.endswith("vertex_positions"))
     view = djpt.load_dict({"type": "perspective", "film": {"type": "hdrfilm", "width": 8, "height": 8}})
@@ -223,7 +274,7 @@ def test_edits_compile_nothing() -> None:
 
 def test_frozen_queries() -> None:
     """Arrays that were made before must be named, as for all frozen functions."""
-    place, corners = scene("call", mesh(sphere(500))), sphere(500)
+    place, corners = scene(FASTEST, mesh(sphere(500))), sphere(500)
     assert place.geometry.triangles is not None
     geometry, tree = place.geometry, place.geometry.triangles.tree
     assert isinstance(tree, CompiledTree)
@@ -241,7 +292,7 @@ def test_frozen_queries() -> None:
 
 def test_masked_queries_answer_no() -> None:
     corners = sphere(500)
-    place, ray = scene("call", mesh(corners)), rays_at(corners, 1000)
+    place, ray = scene(FASTEST, mesh(corners)), rays_at(corners, 1000)
     active = dr.arange(UInt32, 1000) % 3 != 0
     hit = np.array(place.ray_test(ray))
     np.testing.assert_array_equal(np.array(place.ray_test(ray, active)), hit & np.array(active))
@@ -256,12 +307,14 @@ def is_called(place: djpt.Scene) -> bool:
 
 
 def test_either_way_can_be_forced(monkeypatch: pytest.MonkeyPatch) -> None:
-    for ways in ("call", "steps"):
+    for ways in (*SEARCHES, "steps"):
         monkeypatch.setenv(engines.VARIABLE, ways)
         assert chosen() == ways
-        assert is_called(djpt.load_dict({"type": "scene", "m": mesh(sphere(30))})) == (ways == "call")
+        assert is_called(djpt.load_dict({"type": "scene", "m": mesh(sphere(30))})) == (ways != "steps")
     with ray_queries("call"):
         assert chosen() == "call"
+    monkeypatch.setenv(engines.VARIABLE, "auto")
+    assert chosen() == FASTEST
     monkeypatch.setenv(engines.VARIABLE, "cal")
     with pytest.raises(SceneError, match=r"unknown way of ray queries 'cal'; did you mean 'call'"):
         chosen()
@@ -273,8 +326,8 @@ def test_what_fails_its_test_is_not_used(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.delenv(engines.VARIABLE, raising=False)
     right = trees.call_any
     monkeypatch.setattr(trees, "call_any", lambda *arguments: ~right(*arguments))
-    assert not trees.proved()
-    monkeypatch.setattr(engines, "why_not", lambda: "rays with known hits got other results")
+    assert not any(trees.proved(search) for search in SEARCHES)
+    monkeypatch.setattr(engines, "why_not", lambda _: "rays with known hits got other results")
     assert chosen() == "steps"
     assert not is_called(scene("auto", mesh(sphere(30))))
     with pytest.raises(SceneError, match=r"don't work: rays with known hits got other results; possible: steps"):
@@ -288,6 +341,6 @@ def test_a_missing_function_of_the_core_is_told(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(trees, "call_closest", missing)
     trees.why_not.cache_clear()
     try:
-        assert trees.why_not() == "this version of Dr.Jit has no calls of functions"
+        assert trees.why_not("call") == "this version of Dr.Jit has no calls of functions"
     finally:
         trees.why_not.cache_clear()

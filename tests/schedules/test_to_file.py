@@ -69,7 +69,7 @@ def test_layers_and_images_that_are_made_as_a_whole(
 
 
 @pytest.mark.usefixtures("small_bands")
-@pytest.mark.parametrize("queries", ["call", "steps"])
+@pytest.mark.parametrize("queries", ["auto", "steps"])
 def test_meshes(queries: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DJPT_RAY_QUERIES", queries)
     description = djpt.cornell_box()

@@ -60,9 +60,9 @@ import json
 import djpt
 from djpt.errors import DjptError
 try:
-    from djpt.geometry.bvh.calls.trees import why_not
+    from djpt.geometry.bvh.calls.trees import SEARCHES, why_not
     from djpt.geometry.engines import chosen
-    print(json.dumps({"chosen": chosen(), "why_not": why_not()}))
+    print(json.dumps({"chosen": chosen(), "why_not": {search: why_not(search) for search in SEARCHES}}))
 except DjptError as error:
     print(json.dumps({"error": str(error)}))
 """
@@ -205,9 +205,16 @@ def _ray_queries() -> Finding:
         return replace(answer, advice=f"set {VARIABLE}=steps\n{answer.advice}".strip())
     if "error" in answer:
         return Finding("Ray queries", answer["error"], "problem")
+    if answer["chosen"] == "rings":
+        return Finding(
+            "Ray queries", "rings: all rays of a packet side by side, by compiled functions that passed their test"
+        )
+    why = answer["why_not"]["rings"] or f"{VARIABLE}={os.environ.get(VARIABLE, '')}"
     if answer["chosen"] == "call":
-        return Finding("Ray queries", "by calls of compiled functions, which passed their test")
-    why = answer["why_not"] or f"{VARIABLE}={os.environ.get(VARIABLE, '')}"
+        return Finding(
+            "Ray queries", "one ray after the other, by compiled functions that passed their test", "note", why
+        )
+    why = answer["why_not"]["call"] or why
     return Finding("Ray queries", "by steps, which are slower on most machines", "note", why)
 
 

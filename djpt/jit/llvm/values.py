@@ -11,7 +11,22 @@ from djpt.errors import DjptError
 if TYPE_CHECKING:
     from djpt.jit.llvm.ir import Function
 
-__all__ = ["F32", "F64", "I1", "I8", "I16", "I32", "I64", "PTR", "Array", "Operand", "Type", "Value", "Variable", "vector"]
+__all__ = [
+    "F32",
+    "F64",
+    "I1",
+    "I8",
+    "I16",
+    "I32",
+    "I64",
+    "PTR",
+    "Array",
+    "Operand",
+    "Type",
+    "Value",
+    "Variable",
+    "vector",
+]
 
 
 @dataclass(frozen=True)

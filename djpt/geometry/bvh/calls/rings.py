@@ -24,7 +24,7 @@ child of the ray before it is found, and the other children of the ray before th
 The stack of a ray isn't sorted. The nearest child goes on without it; when a hit is found, all entries that begin
 farther away are taken off at once (`RingSearch.cut`), so that none has to be looked at again.
 
-The functions have the interface of those for one ray after the other, and the tests of boxes and triangles are the same.
+The functions have the interface of those for one ray after the other, and test boxes and triangles in the same way.
 """
 
 from __future__ import annotations
@@ -430,7 +430,7 @@ class RingSearch:
         """Note the closest hit of a ray so far, and take what lies behind it from its stack."""
         f = self.f
         for value, field in ((t, "maxt"), (weights[0], B1), (weights[1], B2), (record, RECORD)):
-            f.store(value, self.number(field, lane))  # type: ignore[arg-type]
+            f.store(value, self.number(field, lane))
         inside = self.instances[lane] if self.features.instances else f.constant(I32, 0)
         f.store(inside, self.number(INSIDE, lane))
         with f.either((f.load(I32, self.number("flags", lane)) & ANY_HIT) != 0) as branch:
