@@ -55,7 +55,7 @@ def rings() -> None:
             drawing.box(box, "#eef3fb" if ray >= 0 else "#ffffff")
             if ray >= 0:
                 drawing.text(box.at(0.5, 0.65), waiting[ray], 13, code=True, middle=True)
-            if 0 <= ray and stage + 1 < len(STAGES) and step + 1 < STEPS:
+            if ray >= 0 and stage + 1 < len(STAGES) and step + 1 < STEPS:
                 drawing.arrow(box.at(0.6, 1), (box.x + 1.4 * wide, y + 94), BLUE)
     drawing.text((x0 - 140, 300), "In a step no stage needs what another one computes.", 12, color=GREY)
     (IMAGES / "rings.svg").write_text(drawing.finished(), encoding="utf-8")
