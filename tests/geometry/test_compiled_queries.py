@@ -144,6 +144,45 @@ def test_rings_find_what_searches_one_by_one_find(one_sided: bool, count: int) -
         np.testing.assert_array_equal(ours[-1], theirs[-1])
 
 
+def side_by_side(width: float, count: int, seed: int) -> Ray3f:
+    """Groups of 64 rays within a beam of some width, towards the origin; some run along an axis."""
+    rng = np.random.default_rng(seed)
+    groups = count // 64
+    middle = rng.normal(size=(groups, 1, 3))
+    middle[::5, :, rng.integers(0, 3)] = 0
+    middle *= rng.uniform(0.2, 4, (groups, 1, 1)) / np.linalg.norm(middle, axis=-1, keepdims=True)
+    o = middle + width * 0.1 * rng.normal(size=(groups, 64, 3)) * (rng.random((groups, 1, 1)) < 0.5)
+    d = -middle + width * rng.normal(size=(groups, 64, 3)) * (np.abs(middle) > 0)
+    end = np.where(rng.random((groups, 64)) < 0.2, rng.uniform(0.3, 1.5, (groups, 64)), np.inf)
+    return Ray3f(*(kind(*x.reshape(-1, 3).T) for kind, x in ((Point3f, o), (Vector3f, d))), maxt=Float(end.ravel()))
+
+
+@by_rings
+@pytest.mark.parametrize("width", [0.0, 1e-4, 0.01, 0.1])
+def test_rays_side_by_side_find_what_single_rays_find(width: float) -> None:
+    """The same words, also where some lanes are off, of lights that rays pass and of surfaces with one side."""
+    count, rng = 64 * 400, np.random.default_rng(6)
+    ray = side_by_side(width, count, 7)
+    active, through = Bool(rng.random(count) < 0.8), Bool(rng.random(count) < 0.5)
+    found = []
+    for search in ("rings", "call"):
+        lamp = mesh(sphere(300) * np.float32(0.8), emitter=djpt.load_dict({"type": "area"}))
+        place = scene(search, mesh(sphere(400) * np.float32(0.5), OneSided), lamp, mesh(sphere(3000)))
+        tree = place.geometry.triangles.tree  # type: ignore[union-attr]
+        assert isinstance(tree, CompiledTree)
+        for lights in (Bool(False), through):
+            met, blocked = (tree.search(ray, any_hit, active, lights) for any_hit in (False, True))
+            assert met.b is not None
+            found.append([words(x) for x in (met.t, met.record, met.b.x, met.b.y, blocked.record)])
+    assert 0.2 < (found[0][1] != NONE).mean() < 0.9
+    for ours, theirs in ((found[0], found[2]), (found[1], found[3])):
+        hit = theirs[1] != NONE
+        for a, b in zip(ours, theirs, strict=True):
+            np.testing.assert_array_equal(a[hit], b[hit])
+        np.testing.assert_array_equal(ours[1], theirs[1])
+        np.testing.assert_array_equal(ours[-1], theirs[-1])
+
+
 @pytest.mark.parametrize("search", SEARCHES)
 def test_solids_and_instances_are_hit_as_by_steps(search: str) -> None:
     ray, results = rays_at_village(30000), []

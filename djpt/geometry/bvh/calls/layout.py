@@ -3,7 +3,8 @@
 ==============  ====  ==========================================================================
 part            rows  contents
 ==============  ====  ==========================================================================
-header          8     word 0: row of the first triangle's record; word 1: of the first placed record
+header          8     word 0: row of the first triangle's record; word 1: of the first placed record;
+                      words 2, 3: the tree's radius, and the usual size of its triangles, as floats
 node            8     2 a: low planes of the eight children along axis a; 2 a + 1: high planes;
                       6: references to the children; 7: unused
 leaf            10    3 k + a: coordinate a of corner k of eight triangles; 9: their numbers
@@ -27,6 +28,7 @@ __all__ = [
     "ANY_HIT",
     "CHILDREN",
     "CHILD_ROW",
+    "EXTENT_WORD",
     "HEADER_ROWS",
     "LEAF",
     "LEAF_ROWS",
@@ -42,6 +44,9 @@ __all__ = [
 
 ROW_WORDS, ROW_BYTES = 8, 32
 HEADER_ROWS, NODE_ROWS, LEAF_ROWS = 8, 8, 10
+EXTENT_WORD = 2
+"""The word of the header that holds the radius, before the size of triangles."""
+
 CHILDREN = 8
 """The children of a node, and the triangles of a leaf."""
 

@@ -125,18 +125,26 @@ class PlaneRay:
             x, y, z = (self._row(leaf, corner, self._axes[k]) - self._origin[k] for k in range(3))
             sheared.append((fma(self._shear[0], z, x), fma(self._shear[1], z, y)))
             heights.append(z)
-        (x0, y0), (x1, y1), (x2, y2) = sheared
-        # Products and differences are rounded one by one: swapping the ends of an edge then changes
-        # the sign of its function and nothing else.
-        edges = x2 * y1 - y2 * x1, x0 * y2 - y0 * x2, x1 * y0 - y1 * x0
-        return TriangleTest(edges, heights, self._shear[2])
+        return TriangleTest.of(sheared, heights, self._shear[2])
 
     def _row(self, leaf: Value, corner: int, axis: Value) -> Value:
         return self._function.load(ROW, leaf.at(axis).at(3 * ROW_BYTES * corner), align=ROW_BYTES)
 
 
 class TriangleTest:
-    """The tests of eight triangles."""
+    """The tests of eight triangles by one ray, or of one triangle by several rays."""
+
+    @staticmethod
+    def of(sheared: Sequence[tuple[Value, Value]], heights: Sequence[Value], inverse: Value) -> TriangleTest:
+        """Test triangles by their corners in the plane across the ray, and along the ray.
+
+        `inverse` is the last number of `RayTerms.shear`.
+        """
+        (x0, y0), (x1, y1), (x2, y2) = sheared
+        # Products and differences are rounded one by one: swapping the ends of an edge then changes
+        # the sign of its function and nothing else.
+        edges = x2 * y1 - y2 * x1, x0 * y2 - y0 * x2, x1 * y0 - y1 * x0
+        return TriangleTest(edges, heights, inverse)
 
     def __init__(self, edges: tuple[Value, Value, Value], heights: Sequence[Value], inverse: Value) -> None:
         w0, w1, w2 = edges

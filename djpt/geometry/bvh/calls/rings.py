@@ -31,6 +31,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+from djpt.geometry.bvh.calls.coherent import CoherentSearch
 from djpt.geometry.bvh.calls.layout import (
     ANY_HIT,
     CHILD_ROW,
@@ -78,6 +79,8 @@ def ring_functions(width: int, features: Features) -> str:
     for kind in (ANY, CLOSEST):
         parameters = [("valid", PTR), ("scene", PTR), ("context", PTR), ("rays", PTR)]
         with module.function(f"{kind}_of_packet", parameters) as f:
+            if not features.placed:
+                CoherentSearch(f, kind == ANY, features, width).build()
             RingSearch(f, kind == ANY, features, width).build()
     return module.text()
 

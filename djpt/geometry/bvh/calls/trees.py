@@ -18,7 +18,7 @@ from djpt.errors import SceneError
 from djpt.geometry.bvh.build.builder import Built, build, refit, workers
 from djpt.geometry.bvh.build.rows import corners_of, write_rows
 from djpt.geometry.bvh.build.wide import REBUILD
-from djpt.geometry.bvh.calls.layout import ANY_HIT, PASSES_LIGHTS, REFERENCE, ROW_WORDS
+from djpt.geometry.bvh.calls.layout import ANY_HIT, EXTENT_WORD, PASSES_LIGHTS, REFERENCE, ROW_WORDS
 from djpt.geometry.bvh.calls.ray import Features
 from djpt.geometry.bvh.calls.rings import ring_functions
 from djpt.geometry.bvh.calls.traversal import ANY_OF_PACKET, CLOSEST_OF_PACKET, packet_functions
@@ -266,6 +266,12 @@ class Tree:
     corners: NDArray[np.float32]
 
 
+def usual_size(corners: NDArray[np.float32], otherwise: float) -> float:
+    """The median of the longest sides of the boxes around triangles (P, 3, 3), of a few thousand of them."""
+    some = corners[:: max(1, len(corners) // 4096)]
+    return float(np.median(np.ptp(some, axis=1).max(axis=1))) if len(some) else otherwise
+
+
 class CompiledTrees:
     """The trees of a scene: number 0 over the world, the others over its groups."""
 
@@ -315,6 +321,8 @@ class CompiledTrees:
             own.ravel()[:] = tree.built.memory
             # The record of a placed primitive is its second row.
             own[0, :2] = first_triangle[k], starts[-1] + 1
+            radius = tree.built.extent.diagonal / 2
+            own[0].view(np.float32)[EXTENT_WORD : EXTENT_WORD + 2] = radius, usual_size(tree.corners, radius)
             records = rows[first_triangle[k] : first_triangle[k + 1]]
             part = tree.part
             with workers(len(records), None) as team:
