@@ -25,6 +25,7 @@ The stack of a ray isn't sorted. The nearest child goes on without it; when a hi
 farther away are taken off at once (`RingSearch.cut`), so that none has to be looked at again.
 
 The functions have the interface of those for one ray after the other, and test boxes and triangles in the same way.
+Packets of rays that run side by side are left to `djpt.geometry.bvh.calls.coherent`.
 """
 
 from __future__ import annotations
@@ -275,7 +276,7 @@ class RingSearch:
         """Put a ray into the ring for its next reference; into none if it is DONE."""
         f, entry = self.f, (lane << 32) | reference.to(I64)
         self.nodes.offer(entry, reference < LEAF)
-        self.leaves.offer(entry, (reference >= LEAF) & (reference < PLACED))
+        self.leaves.offer(entry, (reference ^ LEAF) < (PLACED ^ LEAF))
         if self.features.placed:
             self.placed.offer(entry, (reference >= PLACED) & (reference != DONE))
         # A reference without a row leads to an address that may not exist, which a prefetch may name.
