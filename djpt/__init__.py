@@ -37,10 +37,10 @@ if TYPE_CHECKING:
     from djpt.core import warp as warp
     from djpt.core.bounding_box import BoundingBox2f as BoundingBox2f
     from djpt.core.bounding_box import BoundingBox3f as BoundingBox3f
+    from djpt.core.bounding_box import BoundingSphere3f as BoundingSphere3f
     from djpt.core.bounding_box import ScalarBoundingBox2f as ScalarBoundingBox2f
     from djpt.core.bounding_box import ScalarBoundingBox3f as ScalarBoundingBox3f
-    from djpt.core.bounding_sphere import BoundingSphere3f as BoundingSphere3f
-    from djpt.core.bounding_sphere import ScalarBoundingSphere3f as ScalarBoundingSphere3f
+    from djpt.core.bounding_box import ScalarBoundingSphere3f as ScalarBoundingSphere3f
     from djpt.core.frame import Frame3f as Frame3f
     from djpt.core.frame import coordinate_system as coordinate_system
     from djpt.core.process.interruption import Terminated as Terminated

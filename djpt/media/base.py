@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import drjit as dr
 
 from djpt.core.records import Ray3f, SurfaceInteraction3f
-from djpt.core.records.media import MediumInteraction3f
+from djpt.core.records.interactions import MediumInteraction3f
 from djpt.description.frame_change import NotMovable
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties

@@ -15,7 +15,7 @@ import numpy as np
 
 from djpt.core.frame import Frame3f
 from djpt.core.records import BSDFContext, DirectionSample3f, PhaseFunctionContext, SurfaceInteraction3f
-from djpt.core.records.media import MediumInteraction3f
+from djpt.core.records.interactions import MediumInteraction3f
 from djpt.description.loader import load_dict
 from djpt.description.scene_files import load_string
 from djpt.errors import ArgumentError, DjptError

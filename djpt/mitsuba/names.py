@@ -25,7 +25,7 @@ EXPORTS: dict[str, str] = {
     "djpt.phase.base": "PhaseFunction",
     "djpt.phase.microflakes": "SGGXPhaseFunctionParams sggx_pdf sggx_projected_area sggx_sample",
     "djpt.core.records.flags": "DiscontinuityFlags PhaseFunctionContext PhaseFunctionFlags",
-    "djpt.core.records.media": "MediumInteraction3f",
+    "djpt.core.records.interactions": "MediumInteraction3f",
     "djpt.rfilters.base": "ReconstructionFilter",
     "djpt.samplers.base": "Sampler",
     "djpt.integrators.ad_integrator": "CppADIntegrator",
@@ -60,9 +60,7 @@ EXPORTS: dict[str, str] = {
         "Philox4x32 RadicalInverse ScalarPCG32 permute permute_kensler radical_inverse_2 sample_tea_32 sample_tea_64 "
         "sample_tea_float sample_tea_float32 sample_tea_float64 sobol_2"
     ),
-    "djpt.core.records.ray_variants": (
-        "Ray2d Ray2f Ray3d RayDifferential3f ScalarRay2d ScalarRay2f ScalarRay3d ScalarRay3f"
-    ),
+    "djpt.core.records.rays": ("Ray2d Ray2f Ray3d RayDifferential3f ScalarRay2d ScalarRay2f ScalarRay3d ScalarRay3f"),
     "djpt.images.resampler": "BitmapReconstructionFilter FilterBoundaryCondition Resampler",
     "djpt.mitsuba.run": "Timer Version while_loop",
     "djpt.mitsuba.spectra": (
@@ -72,7 +70,7 @@ EXPORTS: dict[str, str] = {
     "djpt.mitsuba.streams": "DummyStream FileStream MemoryMappedFile MemoryStream Stream",
     "djpt.images.structs": "Struct StructConverter",
     "djpt.mitsuba.tensor_io": "TensorFile",
-    "djpt.core.transforms.projective": (
+    "djpt.core.transforms.lanes": (
         "AffineTransform3d AffineTransform4d ProjectiveTransform3d ProjectiveTransform3f ProjectiveTransform4d "
         "ProjectiveTransform4f ScalarAffineTransform3d ScalarAffineTransform3f ScalarAffineTransform4d "
         "ScalarAffineTransform4f ScalarProjectiveTransform3d ScalarProjectiveTransform3f ScalarProjectiveTransform4d "

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from djpt.core.records import EmitterFlags, has_flag
-from djpt.core.records.scene_ref import note_latest
+from djpt.core.records.record import note_latest
 from djpt.description.merging import Merging
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties

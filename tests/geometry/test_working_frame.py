@@ -12,7 +12,7 @@ import pytest
 
 import djpt
 from djpt.core.records import Ray3f
-from djpt.core.records.media import MediumInteraction3f
+from djpt.core.records.interactions import MediumInteraction3f
 from djpt.core.transforms import ScalarTransform4f as T
 from djpt.description import registry
 from djpt.description.frame_change import NotMovable

@@ -1,4 +1,4 @@
-"""Points on surfaces, and the hits of rays that they are computed from."""
+"""Points on surfaces and in media, and the hits of rays that they are computed from."""
 
 from __future__ import annotations
 
@@ -8,14 +8,38 @@ from typing import Any, Protocol
 import drjit as dr
 
 from djpt.core.frame import Frame3f
-from djpt.core.records.instanced import Instanced
 from djpt.core.records.points import Interaction3f
 from djpt.core.records.rays import Ray3f
-from djpt.core.records.record import Record, no_wavelengths
-from djpt.core.records.scene_ref import latest_scene_ref, only, scene_of
-from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector2f, Vector3f
+from djpt.core.records.record import Record, SceneRef, latest_scene_ref, no_wavelengths, only, scene_of
+from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector2f, Vector3f
 
-__all__ = ["PreliminaryIntersection3f", "SceneView", "SurfaceInteraction3f"]
+__all__ = ["Instanced", "MediumInteraction3f", "PreliminaryIntersection3f", "SceneView", "SurfaceInteraction3f"]
+
+
+class Instanced(Record):
+    """The part of a hit that tells the instance."""
+
+    instances: tuple[UInt32, ...]
+    """The index of the instance into ``scene.shapes()``; nothing in scenes without instances: see `instance`."""
+    scene_ref: SceneRef
+
+    @property
+    def instance(self) -> Any:
+        """The instance that was hit, a `djpt.ShapePtr`, null on other shapes; or what was assigned.
+
+        None in a record that belongs to no scene. Known where a script asks a scene for the hit.
+        """
+        if "_instance" in self.__dict__:
+            return self.__dict__["_instance"]
+        return scene_of(self).instance_at(self) if self.scene_ref else None
+
+    @instance.setter
+    def instance(self, instance: Any) -> None:
+        # Dr.Jit's operations don't carry it along.
+        self.__dict__["_instance"] = instance
+
+
+# ---- points on surfaces ----------------------------------------------------------------------
 
 
 class SceneView(Protocol):
@@ -313,3 +337,60 @@ class SurfaceInteraction3f(Interaction3f, Instanced):
     def has_n_partials(self) -> Bool:
         """True where the derivative of the normal was asked for, and isn't 0."""
         return dr.any((self.dn_du != 0) | (self.dn_dv != 0))
+
+
+# ---- points in media -------------------------------------------------------------------------
+
+
+class MediumInteraction3f(Interaction3f):
+    """A point in a medium, where light may be scattered.
+
+    ``MediumInteraction3f()``, ``MediumInteraction3f(mei)``, or its fields by keywords.
+    """
+
+    title = "MediumInteraction"
+
+    sh_frame: Frame3f
+    """A frame about `wi`; made when it is first read."""
+    wi: Vector3f
+    """Direction back along the ray, in world space."""
+    sigma_s: Color3f
+    """Scattering coefficient."""
+    sigma_n: Color3f
+    """Coefficient of null collisions: majorant - sigma_t."""
+    sigma_t: Color3f
+    """Extinction coefficient: absorption and scattering."""
+    combined_extinction: Color3f
+    """The majorant."""
+    mint: Float
+    """Distance at which the ray enters the medium's box."""
+    pointers: tuple[Any, ...]
+    """The medium, a pointer, or nothing: see `medium`."""
+
+    @staticmethod
+    def on(ray: Ray3f, t: Float, p: Point3f | None = None) -> MediumInteraction3f:
+        """The point of a ray at `t`; `p` is that point if it is known."""
+        mei: MediumInteraction3f = MediumInteraction3f.holding(t=t, p=ray(t) if p is None else p, wi=-ray.d)
+        if ray.times:
+            mei.time = ray.time
+        return mei
+
+    def default(self, name: str) -> Any:
+        return Frame3f.from_normal(self.wi) if name == "sh_frame" else super().default(name)
+
+    @property
+    def medium(self) -> Any:
+        """The medium, a `djpt.media.pointer.MediumPtr`; None in a record that no medium has made."""
+        return only(self.pointers)
+
+    @medium.setter
+    def medium(self, medium: Any) -> None:
+        self.pointers = () if medium is None else (medium,)
+
+    def to_local(self, v: Vector3f) -> Vector3f:
+        """World direction to `sh_frame`."""
+        return self.sh_frame.to_local(v)
+
+    def to_world(self, v: Vector3f) -> Vector3f:
+        """`sh_frame` to world."""
+        return self.sh_frame.to_world(v)
