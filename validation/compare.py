@@ -27,9 +27,8 @@ from djpt.validation.comparands import (
     told_apart,
 )
 from djpt.validation.comparison import Comparison
-from djpt.validation.measures import checked_limits
 from djpt.validation.measuring import THEIR_SEEDS, Rendering, compared, plan
-from djpt.validation.metrics import ComparisonError
+from djpt.validation.metrics import ComparisonError, checked_limits
 from djpt.validation.references import Reference, write_reference
 
 __all__ = ["Comparison", "assert_matches", "compare", "compare_renderers", "djpt_renderer", "store_reference"]
@@ -72,7 +71,7 @@ def compare(
         rmse: Limit for the RMSE, which includes the noise of both images; None: no limit.
         against: The second side, as `scene`. None: Mitsuba's image of the scene, or djpt's if `integrator_b` or
             `schedule_b` is given.
-        limits: Thresholds by the names of `djpt.validation.measures.LIMITS`, such as ``{"flip": 0.05, "z": 4}``.
+        limits: Thresholds by the names of `djpt.validation.metrics.LIMITS`, such as ``{"flip": 0.05, "z": 4}``.
             `z` replaces the limit of the test of the image mean.
         same_seed: Limit for the share of pixels that agree at equal seeds, 0 to 1; None: reported only.
         reference_spp: Samples per pixel of the second side (default `spp`): more of them lower the noise in `rmse`.

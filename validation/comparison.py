@@ -14,12 +14,54 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from djpt.validation import perceptual
-from djpt.validation.measures import MEASURES, within
-from djpt.validation.same_seed import Agreement
+from djpt.validation.metrics import MEASURES, flip_map, pair, within
 from djpt.validation.statistics import TestResult
 
-__all__ = ["Comparison"]
+__all__ = ["Agreement", "Comparison", "agreement"]
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """The agreement of two images with the same seed.
+
+    * `share`: the share of pixels whose channels all agree to within `tolerance`.
+    * `worst`: the largest relative difference of a pixel; `median`: the median over the pixels.
+    * `bias`: sum of the differences / sum of the reference. Paths that rounding has changed are as often brighter as
+      darker, so a bias far above `(1 - share)` times the noise has another cause than rounding.
+    """
+
+    share: float
+    tolerance: float
+    median: float
+    worst: float
+    bias: float
+
+    def __str__(self) -> str:
+        detail = f"median {self.median:.1e}, worst {self.worst:.1e}"
+        return f"{self.share:.4%} of pixels within {self.tolerance:g} ({detail})"
+
+
+def agreement(image: Any, reference: Any, tolerance: float = 1e-3) -> Agreement:
+    """Compare two renders with equal seed and spp, shape (H, W, C).
+
+    A pixel's relative difference is ``max over channels |a - b| / max(|a|, |b|, floor)``. The floor, 1e-3 of the
+    reference's mean, prevents large relative differences by rounding in channels that are nearly black.
+    """
+    a, b = pair(image, reference)
+    floor = max(1e-3 * float(np.mean(np.abs(b))), float(np.finfo(np.float32).tiny))
+    difference = (np.abs(a - b) / np.maximum(np.maximum(np.abs(a), np.abs(b)), floor)).max(axis=2)
+    total = float(np.sum(b))
+    return Agreement(
+        share=float(np.mean(difference <= tolerance)),
+        tolerance=tolerance,
+        median=float(np.median(difference)),
+        worst=float(difference.max()),
+        bias=float(np.sum(a - b)) / total if total else 0.0,
+    )
+
+
+# ---- the result ------------------------------------------------------------------------------
+
 
 ALWAYS = ("mae", "relmse", "psnr", "ssim")
 """The measures of every table, beside RMSE and the bias. FLIP takes longer and is shown where it is a threshold."""
@@ -41,7 +83,7 @@ class Comparison:
     * `z_map`: the deviate of each pixel's worst channel, (H, W), or None without noise.
     * `same_seed`: agreement of one pair of renders with the same seed at `same_seed_spp`, or None.
     * `seconds`, `reference_seconds`: median time of one batch, without the first one, which compiles.
-    * `limits`: the thresholds that were given, by the names of `djpt.validation.measures.LIMITS`.
+    * `limits`: the thresholds that were given, by the names of `djpt.validation.metrics.LIMITS`.
     * `facts`: for each side, what was rendered: names and values for people to read.
     """
 
@@ -68,7 +110,7 @@ class Comparison:
     facts: tuple[Mapping[str, Any], Mapping[str, Any]] = field(default_factory=lambda: ({}, {}))
 
     def measure(self, name: str) -> float:
-        """One of `djpt.validation.measures.MEASURES`, computed when it is first asked for."""
+        """One of `djpt.validation.metrics.MEASURES`, computed when it is first asked for."""
         if name not in self._measured:
             self._measured[name] = MEASURES[name].compute(self.image, self.reference)
         return self._measured[name]
@@ -79,8 +121,8 @@ class Comparison:
 
     @cached_property
     def flip_map(self) -> npt.NDArray[np.float64]:
-        """FLIP per pixel, (H, W); see `djpt.validation.perceptual.flip_map`."""
-        found = perceptual.flip_map(self.image, self.reference)
+        """FLIP per pixel, (H, W); see `djpt.validation.metrics.flip_map`."""
+        found = flip_map(self.image, self.reference)
         self._measured["flip"] = float(np.mean(found))
         return found
 

@@ -12,14 +12,12 @@ import numpy.typing as npt
 
 from djpt.rendering.progress import Progress
 from djpt.validation import metrics
-from djpt.validation.batches import Batches
 from djpt.validation.bridge import Renderer
 from djpt.validation.comparands import Comparand
-from djpt.validation.comparison import Comparison
+from djpt.validation.comparison import Agreement, Comparison, agreement
 from djpt.validation.metrics import ComparisonError
 from djpt.validation.references import Reference
-from djpt.validation.same_seed import Agreement, agreement
-from djpt.validation.statistics import block_test, mean_test, noise_ratio, pixel_test, weighted_test, z_map
+from djpt.validation.statistics import Batches, block_test, mean_test, noise_ratio, pixel_test, weighted_test, z_map
 
 __all__ = ["OUR_SEEDS", "THEIR_SEEDS", "Rendering", "compared", "plan"]
 

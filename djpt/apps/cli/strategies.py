@@ -42,7 +42,7 @@ def command(
     """
     from djpt.apps.cli.strips import checked, write_rows
     from djpt.scenes.overrides import described
-    from djpt.validation.integrator_comparison.pyramid import pyramid
+    from djpt.validation.integrator_comparison.strips import pyramid
 
     require_positive(spp=spp, max_depth=max_depth, size=size)
     target = checked(output)
