@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from djpt import scenes as scenes
     from djpt import validation as validation
     from djpt.apps import optimization as optimization
-    from djpt.apps.display.live import show_passes as show_passes
+    from djpt.apps.display import show_passes as show_passes
     from djpt.apps.optimization.loop import optimize as optimize
     from djpt.core import warp as warp
     from djpt.core.bounding_box import BoundingBox2f as BoundingBox2f
@@ -163,7 +163,7 @@ sys.meta_path.insert(0, _FormerPaths())
 _prepare()
 
 if "IPython" in sys.modules:
-    from djpt.apps.display.notebooks import show_images
+    from djpt.apps.display import show_images
 
     show_images()
 

@@ -19,7 +19,7 @@ import pytest
 
 import djpt
 from djpt.apps.cluster import tasks
-from djpt.apps.cluster.bundle import Bundle
+from djpt.apps.cluster.work import Bundle
 from djpt.errors import BackendError, DjptError, FileError, ParameterError, RenderError, SceneError
 from djpt.rendering.progressive.rounds import round_seed
 from djpt.scenes.overrides import described, override

@@ -40,8 +40,7 @@ def command(
     If IMAGE is an exr with layers for albedo and normals, they guide the filter; the integrator 'aov' and
     'djpt render --denoise --raw' write such layers. Render with the box filter: wider ones spread the noise.
     """
-    from djpt.apps.cli.pictures import channels_for, layers
-    from djpt.apps.cli.tone import carried
+    from djpt.apps.cli.tone import carried, channels_for, layers
     from djpt.images.image import check_writable, read_metadata
     from djpt.rendering.denoising.filtering import check_method, colour_count, denoise_pixels
 

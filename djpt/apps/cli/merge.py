@@ -9,7 +9,7 @@ import click
 import djpt
 from djpt.apps.cli import options
 from djpt.apps.cli.console import Command, say
-from djpt.apps.cli.pictures import channels_for, layers
+from djpt.apps.cli.tone import channels_for, layers
 from djpt.core.files import require_different
 from djpt.errors import RenderError
 

@@ -87,7 +87,7 @@ class Passes:
         The function ends the process if a signal has come. A signal ends a render only after the checkpoint is written.
         """
         import djpt
-        from djpt.apps.cli.pictures import channels_for
+        from djpt.apps.cli.tone import channels_for
 
         begun, spp = None, settings.spp
         if self.resume and self.checkpoint is not None and self.checkpoint.exists():
@@ -165,7 +165,7 @@ class Passes:
             from distributed import Client
         except ImportError:
             raise BackendError("clusters need the package 'distributed': pip install 'dask[distributed]'") from None
-        from djpt.apps.cluster.patience import within
+        from djpt.apps.cluster.tasks import within
 
         try:
             with interruption.waiting():

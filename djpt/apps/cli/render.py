@@ -115,8 +115,7 @@ def command(
         )
         in_rounds.check()
     # NumPy is imported after the scene was found.
-    from djpt.apps.cli.pictures import channels_for, layers
-    from djpt.apps.cli.tone import Tone
+    from djpt.apps.cli.tone import Tone, channels_for, layers
     from djpt.images.image import check_writable
     from djpt.rendering.settings import RenderSettings
 

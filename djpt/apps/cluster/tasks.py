@@ -7,14 +7,12 @@ import time
 import uuid
 import warnings
 from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple
+from typing import Any, Generic, NamedTuple, TypeVar
 
-from djpt.apps.cluster.bundle import Bundle
-from djpt.apps.cluster.patience import Question, within
-from djpt.apps.cluster.work import Answer, software
+from djpt.apps.cluster.work import Answer, Bundle, software
 from djpt.errors import BackendError, DjptError, RenderError
 
-__all__ = ["InOrder", "require_client", "warn"]
+__all__ = ["InOrder", "Question", "require_client", "warn", "within"]
 
 AHEAD = 2
 """The number of tasks per worker that are started ahead of their turn."""
@@ -280,3 +278,45 @@ def require_client(client: Any) -> None:
         raise BackendError("clusters need the package 'distributed': pip install 'dask[distributed]'") from None
     if not isinstance(client, Client):
         raise BackendError(f"'client' must be a distributed.Client, found {type(client).__name__}")
+
+
+# ---- waiting with a time limit ---------------------------------------------------------------
+
+
+T = TypeVar("T")
+
+
+class Question(Generic[T]):
+    """A call that runs in a thread of its own and is abandoned there if it takes too long."""
+
+    def __init__(self, ask: Callable[[], T]) -> None:
+        self._ask = ask
+        self._found: list[T] = []
+        self._raised: list[Exception] = []
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        try:
+            self._found.append(self._ask())
+        except Exception as error:  # handed on
+            self._raised.append(error)
+
+    def ended(self, seconds: float) -> bool:
+        """Wait for the answer for at most `seconds`; True if it has arrived."""
+        self._thread.join(seconds)
+        return not self._thread.is_alive()
+
+    def answer(self) -> T:
+        """The result of the call, or the exception that it raised, once it has ended."""
+        if self._raised:
+            raise self._raised[0]
+        return self._found[0]
+
+
+def within(seconds: float, ask: Callable[[], T]) -> T:
+    """The result of a call; raises `TimeoutError` if it takes longer than `seconds`."""
+    question = Question(ask)
+    if not question.ended(seconds):
+        raise TimeoutError(f"no answer in {seconds:g} s")
+    return question.answer()

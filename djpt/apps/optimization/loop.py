@@ -13,14 +13,11 @@ import drjit.opt
 import numpy as np
 import numpy.typing as npt
 
-from djpt.apps.optimization.bounds import usual_bounds
 from djpt.apps.optimization.gauss_newton import RATE, GaussNewton
 from djpt.apps.optimization.live import shown_live
-from djpt.apps.optimization.losses import Loss, loss_of, residual_of
-from djpt.apps.optimization.priors import Prior, curvature_of, prior_of
-from djpt.apps.optimization.search import Search
-from djpt.apps.optimization.state import load_state, save_state
-from djpt.apps.optimization.variables import Variable
+from djpt.apps.optimization.losses import Loss, Prior, curvature_of, loss_of, prior_of, residual_of
+from djpt.apps.optimization.search import Search, load_state, save_state
+from djpt.apps.optimization.variables import Variable, usual_bounds
 from djpt.description.parameters import SceneParameters, traverse
 from djpt.errors import ParameterError, RenderError, near_miss
 from djpt.rendering.progress import Progress, watched
@@ -125,7 +122,7 @@ def optimize(
             name. By default 0.02, and 1.6 for ``gauss_newton``, whose steps are in units of the curvature: take
             smaller ones if it overshoots.
         bounds: Of all parameters, or by name; by default those that a parameter's meaning sets, see
-            `djpt.optimization.bounds.usual_bounds`: 0 and 1 for albedos and roughness, 0 and infinity for light.
+            `djpt.optimization.variables.usual_bounds`: 0 and 1 for albedos and roughness, 0 and infinity for light.
         keeping: How parameters are kept within the bounds: ``projection``, ``sigmoid``, or ``free``.
         priors: For textures by name: (``smooth``, ``tv`` or a function, weight).
         coarse: For textures by name: the number of times that width and height are halved at first. They

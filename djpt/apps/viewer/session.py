@@ -3,25 +3,27 @@
 from __future__ import annotations
 
 import json
+import math
+import os
 import queue
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from djpt.apps.viewer.messages import in_one_line, number, whole_number
-from djpt.apps.viewer.picture import Picture
+from djpt.apps.viewer.controls import in_one_line, number, whole_number
 from djpt.apps.viewer.stage import LAYERS, Stage
-from djpt.apps.viewer.watch import Watch
 from djpt.description.named_files import files_of
 from djpt.errors import RenderError
 from djpt.images.tone_mapping import ACES_IN, ACES_OUT, AGX_CURVE, AGX_IN, AGX_OUT, AGX_STOPS
-from djpt.rendering.progressive.rounds import Rounds, round_seed
+from djpt.rendering.progressive.accumulation import luminance
+from djpt.rendering.progressive.rounds import Rounds, RoundSums, round_seed
 from djpt.rendering.settings import RenderSettings
 
-__all__ = ["Session", "packed"]
+__all__ = ["Picture", "Session", "Watch", "packed"]
 
 SHORT, LONG = 0.02, 0.06
 """Seconds of a round's kernel below which the next round has more samples, and above which it has fewer.
@@ -288,3 +290,106 @@ def packed(header: Mapping[str, Any], pixels: npt.NDArray[np.float32]) -> bytes:
     with np.errstate(over="ignore"):
         halves = np.clip(pixels, -LARGEST_HALF, LARGEST_HALF).astype("<f2")
     return len(text).to_bytes(4, "little") + text + halves.tobytes()
+
+
+# ---- changes of the files that a scene was read from -----------------------------------------
+
+
+class Watch:
+    """Detects new versions of files by their size and modification time."""
+
+    def __init__(self, files: Iterable[Path]) -> None:
+        self.files = tuple(files)
+        """The files that are watched."""
+        self._seen = self._state()
+
+    def has_changed(self) -> bool:
+        """True if a file has changed since the last call. A file that is missing momentarily hasn't."""
+        state = self._state()
+        changed = any(new is not None and new != old for new, old in zip(state, self._seen, strict=True))
+        self._seen = tuple(old if new is None else new for new, old in zip(state, self._seen, strict=True))
+        return changed
+
+    def _state(self) -> tuple[tuple[int, int] | None, ...]:
+        return tuple(stamp(path) for path in self.files)
+
+
+def stamp(path: Path) -> tuple[int, int] | None:
+    """The modification time in nanoseconds and the size of a file; None if it doesn't exist."""
+    try:
+        status = os.stat(path)
+    except OSError:
+        return None
+    return status.st_mtime_ns, status.st_size
+
+
+# ---- the sum of the rounds rendered so far ---------------------------------------------------
+
+
+Floats = npt.NDArray[np.float32]
+Doubles = npt.NDArray[np.float64]
+
+
+class Picture:
+    """An image that rounds of any number of samples are added to, and its error.
+
+    The error comes from the rounds' luminance x with w samples per pixel each: with W the sum of w, m the weighted mean
+    and R rounds, the variance of the mean is ``(sum of w x^2 / W - m^2) / (R - 1)``, which is unbiased, as the variance
+    of a round is inversely proportional to w.
+    """
+
+    def __init__(self, channels: tuple[str, ...]) -> None:
+        self.channels = channels
+        """The names of the channels."""
+        self.rounds = 0
+        """The number of rounds."""
+        self.spp = 0
+        """Samples per pixel of all rounds."""
+        self._sums: Doubles = np.zeros((0, 0, 0))
+        self._weights: Doubles = np.zeros((1, 1))
+        self._constant: Floats = np.zeros((0, 0, 0), np.float32)
+        self._mean: Doubles = np.zeros((0, 0))
+        self._square: Doubles = np.zeros((0, 0))
+
+    def add(self, part: RoundSums, spp: int) -> None:
+        """Add a round of `spp` samples per pixel."""
+        brightness = luminance(part.sums * inverse(part.weights), self.channels)
+        if not self.rounds:
+            self._sums, self._weights = np.zeros(part.sums.shape), np.zeros(part.weights.shape)
+            self._mean, self._square = np.zeros(brightness.shape), np.zeros(brightness.shape)
+        self._sums += part.sums
+        self._weights += part.weights
+        self._constant = part.constant
+        weighted = spp * brightness
+        self._mean += weighted
+        self._square += weighted * brightness
+        self.rounds += 1
+        self.spp += spp
+
+    def pixels(self) -> Floats:
+        """The image, (height, width, channels)."""
+        filtered = np.empty(self._sums.shape, np.float32)
+        np.multiply(self._sums, inverse(self._weights), out=filtered, casting="same_kind")
+        image = np.moveaxis(filtered, 0, 2)
+        return np.concatenate([image, self._constant], axis=2) if self._constant.size else image
+
+    def error(self) -> Floats:
+        """The standard error of the luminance of each pixel, (height, width); zero until there are two rounds."""
+        return np.sqrt(self._variance()).astype(np.float32)
+
+    def relative_error(self) -> float:
+        """The root of the mean squared error of the pixels, divided by the mean luminance; 0 if that is unknown."""
+        mean = float(self._mean.mean()) / max(1, self.spp)
+        return math.sqrt(float(self._variance().mean())) / mean if mean > 0 else 0.0
+
+    def _variance(self) -> Doubles:
+        """The variance of the mean luminance of each pixel."""
+        if self.rounds < 2:
+            return np.zeros(self._mean.shape)
+        mean = self._mean / self.spp
+        return np.maximum(self._square / self.spp - mean * mean, 0) / (self.rounds - 1)
+
+
+def inverse(weights: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
+    """One divided by the weights, and 1 where there are none."""
+    return 1 / np.where(weights == 0, 1, weights)
