@@ -11,14 +11,43 @@ from djpt.core.limits import MAX_DEPTH, MAX_NAME, MAX_NODES, MAX_PARTS
 from djpt.core.numeric import describe
 from djpt.description.document import Document
 from djpt.description.files import FileResolver, file_resolver, reading_once
-from djpt.description.fitting import fitting_kinds
-from djpt.description.merging import Merging
 from djpt.description.plugin import Plugin
-from djpt.description.properties import Properties
+from djpt.description.properties import Merging, Properties
 from djpt.description.registry import kind_of, lookup
 from djpt.errors import SceneError, near_miss
 
-__all__ = ["Loader", "load_dict"]
+__all__ = ["Loader", "fitting_kinds", "load_dict"]
+
+NESTED: dict[str, tuple[str, ...]] = {
+    "scene": (
+        *("sensor", "integrator", "bsdf", "texture", "emitter", "shape", "sampler", "film", "rfilter"),
+        *("medium", "phase", "volume"),
+    ),
+    "shape": ("bsdf", "emitter", "sensor", "medium", "texture", "shape"),
+    "sensor": ("film", "sampler", "medium", "texture", "sensor", "shape"),
+    "film": ("rfilter",),
+    "bsdf": ("texture", "bsdf"),
+    "emitter": ("texture", "medium"),
+    "medium": ("volume", "phase", "texture"),
+    "phase": ("volume", "phase", "texture"),
+    "volume": ("texture", "volume"),
+    "texture": ("texture", "volume"),
+    "integrator": ("integrator",),
+}
+"""The kinds that a plugin of each kind holds."""
+
+PLACES = {"interior": "medium", "exterior": "medium", "target": "shape"}
+"""The kinds of nodes whose keys mean one kind; so do keys that are named after a kind, such as ``integrator``."""
+
+
+def fitting_kinds(parent: Mapping[str, Any] | None, key: str) -> tuple[str, ...] | None:
+    """The kinds of plugins that fit under a key of a node; None if any may."""
+    held = NESTED.get(kind_of(str(parent.get("type"))) or "") if parent is not None else None
+    meant = PLACES.get(key, key)
+    return (meant,) if held is not None and meant in held else held
+
+
+# ---- the conversion --------------------------------------------------------------------------
 
 
 def load_dict(dict: Mapping[str, Any], parallel: bool = True, optimize: bool = True) -> Any:

@@ -7,19 +7,69 @@ import functools
 import textwrap
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import drjit as dr
 
+from djpt.errors import DjptError
 from djpt.jit.backends import variant
 from djpt.jit.frozen import Holder
 from djpt.jit.types import Float
 
 if TYPE_CHECKING:
-    from djpt.description.frame_change import Frame
+    import numpy as np
+    from numpy.typing import NDArray
+
     from djpt.description.properties import Properties
 
-__all__ = ["ParamFlags", "Plugin", "TraversalCallback", "is_plain"]
+__all__ = ["Frame", "NotMovable", "ParamFlags", "Plugin", "TraversalCallback", "is_plain"]
+
+
+class NotMovable(DjptError):
+    """A plugin that can't be moved into a frame: what it does in other coordinates isn't known."""
+
+
+class Frame(Protocol):
+    """The map p -> scale (p - center) from the scene's own coordinates, as plugins see it that move along.
+
+    Radiance and irradiance stay as they are. What goes with a power of the unit of length follows that power of the
+    scale: the intensity of lights without size its square, what media do per unit of length its inverse.
+    """
+
+    @property
+    def scale(self) -> float:
+        """The length of the unit in the frame: a power of two."""
+
+    def point(self, p: Any) -> NDArray[np.float64]:
+        """Points (3,) or (N, 3) of the scene, in the frame."""
+
+    def moved(self, to_world: Any) -> Any:
+        """The `to_world` in the frame of something that has a size."""
+
+    def moved_unscaled(self, to_world: Any) -> Any:
+        """The `to_world` in the frame of something without a size, such as a camera."""
+
+    def rescaled(self, plugin: Any, power: int) -> Any:
+        """A texture or volume times a power of the scale; itself for a scale of 1, and None for None."""
+
+    def copy_of(self, plugin: Any) -> Any:
+        """A nested plugin in the frame: a copy, always the same, or itself if nothing in it differs there.
+
+        What isn't a plugin is returned as it is.
+
+        Raises:
+            NotMovable: it can't be moved.
+        """
+
+    def copied(self, plugin: Any) -> Any:
+        """A copy of a plugin that hasn't moved.
+
+        Raises:
+            NotMovable: its class doesn't say how it moves.
+        """
+
+
+# ---- the base class --------------------------------------------------------------------------
 
 
 INFERRED = ("bsdf", "emitter", "medium", "phase", "texture", "volume")

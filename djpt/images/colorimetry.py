@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
+
+from djpt.core.files import as_path, read_bytes
+from djpt.errors import FileError
 
 __all__ = [
     "DAYLIGHT",
@@ -15,9 +19,38 @@ __all__ = [
     "SHORTEST",
     "XYZ_TO_RGB",
     "black_body_xyz",
+    "read_pairs",
     "spectrum_to_rgb",
     "spectrum_to_xyz",
 ]
+
+
+def read_pairs(filename: str | os.PathLike[str]) -> tuple[list[float], list[float]]:
+    """Wavelengths and values in a text file (spd): two numbers a line, the rest of a line after # is a comment.
+
+    Raises:
+        FileError: The file can't be read, or a line has other than two numbers.
+    """
+    name = as_path(filename)
+    try:
+        lines = [line.split("#")[0].split() for line in read_bytes(name).decode("utf-8").splitlines()]
+    except UnicodeError:
+        raise FileError(f"can't read '{name}': it isn't a text file") from None
+    wavelengths, values = [], []
+    for number, line in enumerate(lines, 1):
+        if not line:
+            continue
+        try:
+            wavelength, value = map(float, line)
+        except ValueError:
+            raise FileError(f"'{name}', line {number}: must be two numbers, a wavelength and a value") from None
+        wavelengths.append(wavelength)
+        values.append(value)
+    return wavelengths, values
+
+
+# ---- colours of spectra ----------------------------------------------------------------------
+
 
 SHORTEST, LONGEST = 360.0, 830.0
 """The visible range in nm, in which spectra are integrated."""

@@ -22,7 +22,7 @@ from djpt.media.scaling import as_scale
 from djpt.media.tracking import Majorants
 
 if TYPE_CHECKING:
-    from djpt.description.frame_change import Frame
+    from djpt.description.plugin import Frame
 
 __all__ = ["Heterogeneous"]
 

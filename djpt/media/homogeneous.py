@@ -22,7 +22,7 @@ from djpt.media.scaling import as_scale
 from djpt.samplers.base import SampleStream
 
 if TYPE_CHECKING:
-    from djpt.description.frame_change import Frame
+    from djpt.description.plugin import Frame
 
 __all__ = ["Homogeneous"]
 

@@ -11,9 +11,8 @@ import numpy as np
 
 from djpt.core.color import LUMINANCE
 from djpt.core.warp import square_to_tent
-from djpt.description.allowed import Allowed
 from djpt.description.plugin import ParamFlags
-from djpt.description.properties import Properties
+from djpt.description.properties import Allowed, Properties
 from djpt.description.registry import register_texture
 from djpt.distributions import DiscreteDistribution2D
 from djpt.distributions.grids import luminance

@@ -8,9 +8,8 @@ from typing import Any, ClassVar
 import drjit as dr
 
 from djpt.core.numeric import as_array, describe
-from djpt.description.allowed import Allowed
 from djpt.description.plugin import ParamFlags
-from djpt.description.properties import Properties
+from djpt.description.properties import Allowed, Properties
 from djpt.description.registry import register_texture
 from djpt.errors import ParameterError, SceneError
 from djpt.jit.types import Bool, Color3f, Float

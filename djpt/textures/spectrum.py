@@ -12,8 +12,7 @@ from djpt.description.files import resolve
 from djpt.description.properties import Properties
 from djpt.description.registry import register_texture
 from djpt.errors import DjptError, SceneError
-from djpt.images.colorimetry import XYZ_TO_RGB
-from djpt.images.spectrum_files import read_pairs
+from djpt.images.colorimetry import XYZ_TO_RGB, read_pairs
 from djpt.textures.tabulated import Pairs, TabulatedSpectrum, pairs_of
 
 __all__ = ["SpectrumTexture"]

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from djpt.core.numeric import as_vector
-from djpt.description.allowed import Allowed
-from djpt.description.properties import Properties
+from djpt.description.properties import Allowed, Properties
 from djpt.description.registry import register_texture
 from djpt.errors import SceneError
 from djpt.textures.rgb import ConstantTexture

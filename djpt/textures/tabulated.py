@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.core.numeric import as_array, numbers_in
-from djpt.description.allowed import Allowed
-from djpt.description.properties import Properties
+from djpt.description.properties import Allowed, Properties
 from djpt.errors import SceneError
 from djpt.images.colorimetry import spectrum_to_rgb
 from djpt.jit.types import Color3f

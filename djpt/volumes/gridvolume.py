@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 
 from djpt.core.color import LUMINANCE
 from djpt.core.transforms import ScalarTransform4f, as_transform
-from djpt.description.allowed import Allowed
 from djpt.description.plugin import ParamFlags, TraversalCallback
-from djpt.description.properties import Properties
+from djpt.description.properties import Allowed, Properties
 from djpt.description.registry import register_volume
 from djpt.dispatch.tables import entry_at
 from djpt.errors import ParameterError, SceneError
@@ -29,7 +28,7 @@ from djpt.volumes.cells import maxima_of_cells
 from djpt.volumes.voxels import as_voxels, check_voxels, load_voxels
 
 if TYPE_CHECKING:
-    from djpt.description.frame_change import Frame
+    from djpt.description.plugin import Frame
 
 __all__ = ["GridVolume"]
 

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from djpt.apps.viewer.controls import in_one_line, number, whole_number
 from djpt.apps.viewer.stage import LAYERS, Stage
-from djpt.description.named_files import files_of
+from djpt.description.document import files_of
 from djpt.errors import RenderError
 from djpt.images.tone_mapping import ACES_IN, ACES_OUT, AGX_CURVE, AGX_IN, AGX_OUT, AGX_STOPS
 from djpt.rendering.progressive.accumulation import luminance

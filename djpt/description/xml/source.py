@@ -17,7 +17,7 @@ from defusedxml.ElementTree import DefusedXMLParser
 from djpt.core.files import read_bytes
 from djpt.errors import SceneError
 
-__all__ = ["MAX_NESTING", "Element", "parse", "parse_file"]
+__all__ = ["MAX_NESTING", "Element", "Entry", "Node", "Reference", "parse", "parse_file"]
 
 MAX_NESTING = 64
 """Deepest nesting of elements. Real scenes need about six levels."""
@@ -103,3 +103,57 @@ class _Builder:
     def close(self) -> Element:
         assert self.root is not None  # else the parser has raised already
         return self.root
+
+
+# ---- nodes, before names and references are resolved -----------------------------------------
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A ``<ref>``: the name that it refers to."""
+
+    id: str
+
+
+@dataclass(eq=False)
+class Entry:
+    """Something nested in an object: a value, a `Node` or a `Reference`, with or without a name."""
+
+    name: str
+    value: Any
+    place: str
+
+
+@dataclass(eq=False)
+class Node:
+    """An object of a scene file: its `tag` (``bsdf``), its plugin's `type`, and its `place` (file and line)."""
+
+    tag: str
+    type: str
+    id: str
+    place: str
+    entries: list[Entry] = field(default_factory=list)
+    places: dict[str, str] = field(default_factory=dict)
+    """File and line of each named entry."""
+
+    def find(self, name: str) -> Entry | None:
+        """The entry of that name."""
+        return next((entry for entry in self.entries if entry.name == name), None)
+
+    def add(self, name: str, value: Any, element: Element) -> None:
+        """Append an entry for `element`; an empty `name` means none.
+
+        Raises:
+            SceneError: the name can't be used, or is taken.
+        """
+        if name in ("type", "id"):
+            raise element.error(f"the name '{name}' can't be used: write <{self.tag} {name}=\"...\">")
+        if "." in name:
+            raise element.error(f"the name '{name}' contains a '.', which separates the parts of a path")
+        self.append(Entry(name, value, element.place))
+
+    def append(self, entry: Entry) -> None:
+        """Append an entry; raise `SceneError` if its name is taken."""
+        if entry.name and self.places.setdefault(entry.name, entry.place) is not entry.place:
+            raise SceneError(f"{entry.place}: '{entry.name}' was already given ({self.places[entry.name]})")
+        self.entries.append(entry)
