@@ -188,7 +188,7 @@ def _hint(name: str) -> str:
     """Why Mitsuba's name is left out, or which name is like it."""
     if name.startswith(("_", "DRJIT_")):  # protocols that others look for, Dr.Jit in each call of a frozen function
         return ""
-    from djpt.mitsuba.exclusions import reason
+    from djpt.mitsuba.names import reason
 
     why = reason(name)
     if why:

@@ -37,13 +37,10 @@ from djpt.errors import BackendError
 from djpt.validation.metrics import ComparisonError
 
 __all__ = [
-    "BLOCK",
     "CELL",
     "RESOLUTION",
     "Batches",
-    "Moments",
     "TestResult",
-    "block_sizes",
     "block_test",
     "mean_test",
     "noise_ratio",

@@ -16,7 +16,7 @@ from djpt.description.properties import Merging, Properties
 from djpt.description.registry import kind_of, lookup
 from djpt.errors import SceneError, near_miss
 
-__all__ = ["Loader", "fitting_kinds", "load_dict"]
+__all__ = ["Loader", "load_dict"]
 
 NESTED: dict[str, tuple[str, ...]] = {
     "scene": (

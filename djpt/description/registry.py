@@ -31,13 +31,9 @@ if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
 __all__ = [
-    "GROUP",
     "LACKING",
     "MITSUBA",
     "PACKAGES",
-    "Entry",
-    "Factory",
-    "PluginModule",
     "entries",
     "kind_of",
     "load",
@@ -45,7 +41,6 @@ __all__ = [
     "mitsuba_kind_of",
     "name_of",
     "names",
-    "plugin_module",
     "plugin_modules",
     "register",
     "register_bsdf",

@@ -34,7 +34,7 @@ ORDER = "channelOrder"
 """The attribute in which `djpt.write` stores the order of channels; the format sorts them by name."""
 
 FILLER = "filler"
-"""The attribute by which a header keeps its size when the others change: see `djpt.images.exr_rows`."""
+"""The attribute by which a header keeps its size when the others change: see `djpt.images.row_files`."""
 
 RESERVED = frozenset(
     f"{ORDER} {FILLER} channels chunkCount compression dataWindow displayWindow dwaCompressionLevel envmap lineOrder "

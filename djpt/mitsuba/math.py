@@ -1,4 +1,4 @@
-"""Special functions, integers, searches and encodings: the names of `djpt.math`."""
+"""Special functions, integers, searches and encodings: the names of `djpt.math` and `djpt.math_py`."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ import numpy as np
 from djpt.core.forms import forms
 from djpt.core.srgb import linear_to_srgb, srgb_to_linear
 from djpt.distributions.search import find_interval
-from djpt.jit.types import Bool, Float, UInt32, backend, converting
-from djpt.mitsuba.statistics import chi2
+from djpt.jit.types import Bool, Float, Point2f, UInt32, Vector3f, backend, converting
 
 __all__ = [
     "RayEpsilon",
     "ShadowEpsilon",
     "ShapeEpsilon",
     "chi2",
+    "dir_to_sph",
     "find_interval",
     "is_power_of_two",
     "legendre_p",
@@ -29,8 +29,10 @@ __all__ = [
     "morton_decode3",
     "morton_encode2",
     "morton_encode3",
+    "rlgamma",
     "round_to_power_of_two",
     "solve_quadratic",
+    "sph_to_dir",
     "srgb_to_linear",
     "ulpdiff",
 ]
@@ -188,3 +190,90 @@ def gathered(x: UInt32, gap: int) -> UInt32:
     for (distance, _), (_, places) in zip(reversed(steps), reversed([(0, first), *steps[:-1]]), strict=True):
         x = (x | (x >> distance)) & places
     return x
+
+
+# ---- statistics of tests ---------------------------------------------------------------------
+
+
+def chi2(obs: Any, exp: Any, pool_threshold: float) -> tuple[float, int, int, int]:
+    """Pearson's statistic, the sum of (observed - expected)^2 / expected.
+
+    Args:
+        obs: observed counts.
+        exp: expected ones.
+        pool_threshold: cells with smaller expectations are pooled in order until their sum exceeds it.
+
+    Returns:
+        The statistic; the degrees of freedom; how many cells were pooled; into how many.
+    """
+    observed, expected = (np.array(values, np.float64).ravel() for values in (obs, exp))
+    common = expected >= pool_threshold
+    statistic = float(((observed - expected)[common] ** 2 / expected[common]).sum())
+    rare = ~common & ((observed != 0) | (expected != 0))
+    pooled, sums = 0, np.zeros(2)
+    for pair in zip(observed[rare], expected[rare], strict=True):
+        sums += pair
+        if sums[1] > pool_threshold:
+            statistic += float((sums[0] - sums[1]) ** 2 / sums[1])
+            sums[:] = 0
+            pooled += 1
+    return statistic, int(common.sum()) + pooled - 1, int(rare.sum()), pooled
+
+
+def rlgamma(a: float, x: float) -> float:
+    """The regularised lower incomplete gamma function P(a, x), for a > 0 and x >= 0.
+
+    By its power series for x < a + 1, else 1 - Q by Lentz's evaluation of the continued fraction (W. H. Press et al.,
+    "Numerical Recipes", 3rd ed., 6.2). With a = n / 2 and x = s / 2 it is the chance that Pearson's statistic with n
+    degrees of freedom is at most s.
+    """
+    if a < 0 or x < 0:
+        raise ValueError(f"rlgamma(): 'a' and 'x' must not be negative, found {a} and {x}")
+    if x == 0:
+        return 0.0
+    scale = math.exp(a * math.log(x) - x - math.lgamma(a))
+    if x < a + 1:
+        term = total = 1 / a
+        n = a
+        while abs(term) > 1e-16 * abs(total):
+            n += 1
+            term *= x / n
+            total += term
+        return scale * total
+    tiny = 1e-300
+    b = x + 1 - a
+    c, d = 1 / tiny, 1 / b
+    fraction = d
+    for i in range(1, 100000):
+        numerator = -i * (i - a)
+        b += 2
+        d, c = numerator * d + b, b + numerator / c
+        d = 1 / (d if abs(d) > tiny else tiny)
+        c = c if abs(c) > tiny else tiny
+        fraction *= c * d
+        if abs(c * d - 1) < 1e-15:
+            break
+    return 1 - scale * fraction
+
+
+# ---- directions and their spherical coordinates ----------------------------------------------
+
+
+@converting
+def sph_to_dir(theta: Float, phi: Float) -> Vector3f:
+    """The direction at the angle `theta` from +z, turned by `phi` from +x to +y."""
+    sin_theta, cos_theta = dr.sincos(theta)
+    sin_phi, cos_phi = dr.sincos(phi)
+    return Vector3f(cos_phi * sin_theta, sin_phi * sin_theta, cos_theta)
+
+
+@converting
+def dir_to_sph(v: Vector3f) -> Point2f:
+    """The angles (theta, phi) of a direction of unit length, theta in [0, pi] and phi in (-pi, pi].
+
+    The polar angle is twice an arc sine of half of the distance to the nearer pole, which is exact near the poles, too.
+    """
+    lower = v.z < 0
+    pole = dr.select(lower, Float(-1), 1)
+    half = dr.safe_asin(0.5 * dr.norm(Vector3f(v.x, v.y, v.z - pole)))
+    return Point2f(dr.select(lower, dr.pi - 2 * half, 2 * half), dr.atan2(v.y, v.x))

@@ -1,10 +1,12 @@
-"""Where the names for scripts are defined: the table that `djpt` looks them up in."""
+"""The table of the names for scripts, which `djpt` looks them up in, and which of Mitsuba's are left out."""
 
 from __future__ import annotations
 
+from fnmatch import fnmatchcase
+
 from djpt.mitsuba.array_names import ARRAYS
 
-__all__ = ["EXPORTS", "SUBMODULES", "VARIANT_MODULES"]
+__all__ = ["EXPORTS", "REASONS", "SUBMODULES", "VARIANT_MODULES", "reason"]
 
 EXPORTS: dict[str, str] = {
     "djpt.description.endpoint": "Endpoint",
@@ -30,7 +32,7 @@ EXPORTS: dict[str, str] = {
     "djpt.samplers.base": "Sampler",
     "djpt.integrators.ad_integrator": "CppADIntegrator",
     "djpt.mitsuba.adjoint_integrators": "AdjointIntegrator",
-    "djpt.mitsuba.angles": "dir_to_sph sph_to_dir",
+    "djpt.mitsuba.math": "dir_to_sph sph_to_dir",
     "djpt.mitsuba.arrays": " ".join(ARRAYS),
     "djpt.images.bitmap": "Bitmap",
     "djpt.mitsuba.constants": (
@@ -62,7 +64,7 @@ EXPORTS: dict[str, str] = {
     ),
     "djpt.core.records.rays": ("Ray2d Ray2f Ray3d RayDifferential3f ScalarRay2d ScalarRay2f ScalarRay3d ScalarRay3f"),
     "djpt.images.resampler": "BitmapReconstructionFilter FilterBoundaryCondition Resampler",
-    "djpt.mitsuba.run": "Timer Version while_loop",
+    "djpt.mitsuba.misc": "Timer Version while_loop",
     "djpt.mitsuba.spectra": (
         "cie1931_xyz cie1931_y cie_d65 depolarizer linear_rgb_rec luminance pdf_rgb_spectrum sample_rgb_spectrum "
         "spectrum_from_file spectrum_list_to_srgb spectrum_to_file srgb_to_xyz unpolarized_spectrum xyz_to_srgb"
@@ -76,7 +78,7 @@ EXPORTS: dict[str, str] = {
         "ScalarAffineTransform4f ScalarProjectiveTransform3d ScalarProjectiveTransform3f ScalarProjectiveTransform4d "
         "ScalarProjectiveTransform4f ScalarTransform3d ScalarTransform4d Transform3d Transform4d"
     ),
-    "djpt.mitsuba.variants": "is_monochromatic is_polarized is_rgb is_spectral scoped_set_variant variant_context",
+    "djpt.mitsuba.util": "is_monochromatic is_polarized is_rgb is_spectral scoped_set_variant variant_context",
     "djpt.sensors.base": "Sensor",
     "djpt.sensors.projective": "ProjectiveCamera",
     "djpt.shapes.silhouettes.samples": "SilhouetteSample3f",
@@ -90,7 +92,7 @@ SUBMODULES: dict[str, str] = {
     "chi2": "djpt.mitsuba.chi2",
     "filesystem": "djpt.mitsuba.filesystem",
     "math": "djpt.mitsuba.math",
-    "math_py": "djpt.mitsuba.statistics",
+    "math_py": "djpt.mitsuba.math",
     "misc": "djpt.mitsuba.misc",
     "quad": "djpt.mitsuba.quad",
     "spline": "djpt.mitsuba.spline",
@@ -100,3 +102,51 @@ SUBMODULES: dict[str, str] = {
 
 VARIANT_MODULES = ("llvm_ad_rgb", "cuda_ad_rgb", "scalar_rgb")
 """Mitsuba's modules that hold its names in one variant; here they are `djpt` itself."""
+
+
+# ---- names that djpt leaves out on purpose ---------------------------------------------------
+
+
+POLARISATION = "Polarisation: djpt computes with unpolarised light."
+SPECTRAL = "Spectral rendering: djpt computes with red, green and blue."
+LOADER = "The stages of the C++ scene loader: `djpt.xml.read_file` gives a description as a dict that can be edited."
+MACHINERY = "Machinery between C++ and Python that has nothing to connect here."
+BLOCKS = "Blocks of a picture: `djpt.render_to_file` renders pictures band by band, `djpt.render_passes` in rounds."
+COMMAND_LINES = "Command lines: Python has `argparse`."
+COMPRESSION = "Streams that compress: Python's `gzip` works through any stream of djpt, and `zlib` packs bytes."
+DEBUGGER = "A stop in a C++ debugger: Python has `breakpoint`."
+PLANAR = "Transforms of the line don't exist in Python: Mitsuba raises a TypeError, too."
+
+REASONS: dict[str, str] = {
+    "mueller": POLARISATION,
+    "mueller.*": POLARISATION,
+    "srgb_model_*": SPECTRAL,
+    "Conditional*1DSpectrum*": SPECTRAL,
+    "Texture.spectral_resolution": SPECTRAL,
+    "Texture.wavelength_range": SPECTRAL,
+    "TexturePtr.*spectrum": SPECTRAL,
+    "parser": LOADER,
+    "parser.*": LOADER,
+    "Properties.Reference*": LOADER,
+    "Properties.ResolvedReference*": LOADER,
+    "detail": MACHINERY,
+    "detail.*": MACHINERY,
+    "StructConverter*": MACHINERY,
+    "Object.ptr": MACHINERY,
+    "get_property": MACHINERY,
+    "set_property": MACHINERY,
+    "*Transform3?.extract": PLANAR,
+    "misc.trap_debugger": DEBUGGER,
+    "Spiral": BLOCKS,
+    "Spiral.*": BLOCKS,
+    "ArgParser": COMMAND_LINES,
+    "ArgParser.*": COMMAND_LINES,
+    "ZStream": COMPRESSION,
+    "ZStream.*": COMPRESSION,
+}
+"""Reasons by pattern. ``*`` stands for any characters, as in file names."""
+
+
+def reason(path: str) -> str:
+    """Why a name is left out; empty if there is no reason."""
+    return next((why for pattern, why in REASONS.items() if fnmatchcase(path, pattern)), "")

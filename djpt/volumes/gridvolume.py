@@ -21,8 +21,7 @@ from djpt.errors import ParameterError, SceneError
 from djpt.jit.frozen import recording
 from djpt.jit.kernels import as_float, as_vector, lerp, maximum
 from djpt.jit.types import Bool, Color3f, Float, Point3f, UInt32, Vector3f
-from djpt.textures.texels import mean_texel, numbers_of
-from djpt.textures.wrapping import WRAP_MODES, wrapped
+from djpt.textures.texels import WRAP_MODES, mean_texel, numbers_of, wrapped
 from djpt.volumes.base import Volume
 from djpt.volumes.cells import maxima_of_cells
 from djpt.volumes.voxels import as_voxels, check_voxels, load_voxels

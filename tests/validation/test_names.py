@@ -15,7 +15,7 @@ import pytest
 
 import djpt
 from djpt.core.forms import forms
-from djpt.mitsuba.exclusions import REASONS
+from djpt.mitsuba.names import REASONS
 from djpt.validation.names import Finding, Verdict, counts, findings, read_names, render_page
 from djpt.validation.names.__main__ import PAGE
 from djpt.validation.names.compare import MISSING, look_up, parse, refused_call, signatures

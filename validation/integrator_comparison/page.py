@@ -22,18 +22,7 @@ from djpt.images.srgb import to_srgb8
 from djpt.jit.backends import variant
 from djpt.validation.integrator_comparison.measure import Ladder, Measured
 
-__all__ = [
-    "ERROR_COLORS",
-    "Curve",
-    "address",
-    "chart",
-    "error_map",
-    "error_range",
-    "html",
-    "pixel_errors",
-    "plain",
-    "shown",
-]
+__all__ = ["ERROR_COLORS", "Curve", "address", "chart", "error_map", "html", "plain", "shown"]
 
 GOLDEN_ANGLE = 137.5
 """The angle between the hues of neighbouring curves, in degrees."""

@@ -16,7 +16,7 @@ from inspect import Parameter, Signature
 from types import FunctionType, MethodType, ModuleType
 from typing import Any
 
-from djpt.mitsuba.exclusions import reason
+from djpt.mitsuba.names import reason
 
 __all__ = ["Finding", "PublicName", "Verdict", "findings", "public_names", "refused_call", "signatures"]
 

@@ -23,7 +23,7 @@ from djpt.validation.references import machine, versions
 if TYPE_CHECKING:
     from djpt.validation.comparison import Comparison
 
-__all__ = ["Packed", "bytes_of", "halves_of", "histogram", "html", "normal_counts", "packed", "write_page"]
+__all__ = ["bytes_of", "halves_of", "histogram", "html", "packed", "write_page"]
 
 BINS = 72
 Z_SHOWN = 6.0

@@ -15,17 +15,7 @@ from djpt.core.process.interruption import Terminated
 from djpt.core.terminal import visible
 from djpt.errors import BackendError, DjptError, RenderError, SceneError
 
-__all__ = [
-    "Command",
-    "ExitCode",
-    "announce",
-    "fail",
-    "number_or_word",
-    "parameters",
-    "readable_errors",
-    "require_positive",
-    "say",
-]
+__all__ = ["Command", "ExitCode", "announce", "fail", "number_or_word", "parameters", "require_positive", "say"]
 
 
 class ExitCode(IntEnum):

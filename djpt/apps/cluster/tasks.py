@@ -12,7 +12,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 from djpt.apps.cluster.work import Answer, Bundle, software
 from djpt.errors import BackendError, DjptError, RenderError
 
-__all__ = ["InOrder", "Question", "require_client", "warn", "within"]
+__all__ = ["InOrder", "require_client", "warn", "within"]
 
 AHEAD = 2
 """The number of tasks per worker that are started ahead of their turn."""

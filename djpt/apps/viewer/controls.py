@@ -13,7 +13,7 @@ from djpt.core.limits import LARGEST, MAX_NAME
 from djpt.description.parameters import SceneParameters
 from djpt.errors import ParameterError, RenderError
 
-__all__ = ["MOST", "changed", "controls", "in_one_line", "is_number", "number", "parsed", "whole_number"]
+__all__ = ["changed", "controls", "in_one_line", "number", "parsed", "whole_number"]
 
 LONGEST = 500
 """The number of characters of an error that pages are sent."""

@@ -17,21 +17,7 @@ from djpt.description.xml.source import Element, Entry, Node, Reference
 from djpt.description.xml.values import VALUES, check_attributes, spectrum_file
 from djpt.errors import FileError, SceneError, near_miss
 
-__all__ = [
-    "LONGEST",
-    "OBJECTS",
-    "Parameters",
-    "Reader",
-    "Version",
-    "check_type",
-    "check_types",
-    "is_object",
-    "is_old",
-    "parse_version",
-    "upgrade_name",
-    "upgrade_node",
-    "upgrade_tag",
-]
+__all__ = ["LONGEST", "OBJECTS", "Parameters", "Reader", "Version", "upgrade_name"]
 
 Version = tuple[int, int, int]
 

@@ -18,7 +18,7 @@ from djpt.description.xml.reader import Reader
 from djpt.description.xml.source import Entry, Node, Reference
 from djpt.errors import FileError, SceneError, near_miss
 
-__all__ = ["Naming", "read_file", "read_string"]
+__all__ = ["read_file", "read_string"]
 
 
 class Naming:

@@ -12,7 +12,7 @@ from djpt.description.xml.source import Element
 from djpt.description.xml.values import check_attributes, number, numbers, vector
 from djpt.errors import SceneError, near_miss
 
-__all__ = ["OPERATIONS", "transform"]
+__all__ = ["transform"]
 
 
 def transform(element: Element, substitute: Callable[[Element], None]) -> ScalarTransform4f:

@@ -8,7 +8,6 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from djpt.core.files import read_bytes
 from djpt.core.limits import LARGEST
 from djpt.description.xml.source import Element
 from djpt.errors import FileError, near_miss
@@ -124,22 +123,12 @@ def _pair(element: Element, text: str) -> tuple[float, float]:
 
 def spectrum_file(element: Element, path: Path) -> dict[str, Any]:
     """Read the spectrum in a text file: a wavelength in nm and a value per line, ``#`` for comments."""
+    from djpt.images.colorimetry import read_pairs  # here: NumPy takes long to import
+
     try:
-        lines = read_bytes(path).decode("utf-8").splitlines()
+        pairs = list(zip(*read_pairs(path), strict=True))
     except FileError as error:
         raise element.error(str(error)) from None
-    except UnicodeError:
-        raise element.error(f"'{path}' isn't a text file") from None
-    pairs: list[tuple[float, float]] = []
-    for count, line in enumerate(lines, 1):
-        if not (text := line.partition("#")[0].strip()):
-            continue
-        words = [word for word in _SEPARATORS.split(text) if word]
-        if len(words) != 2 or not all(map(_FLOAT.fullmatch, words)):
-            # Not quoted: any file may have been named.
-            raise element.error(f"{path}:{count}: must be two numbers, a wavelength and a value")
-        inside = Element(element.tag, {}, f"{element.place}: {path}:{count}")
-        pairs.append((number(inside, words[0]), number(inside, words[1])))
     _check_pairs(element, pairs)
     return {"type": "spectrum", "value": pairs}
 
