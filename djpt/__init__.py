@@ -64,6 +64,8 @@ if TYPE_CHECKING:
     from djpt.core.transforms.lanes import Transform3f as Transform3f
     from djpt.core.transforms.lanes import Transform4f as Transform4f
     from djpt.description.loader import load_dict as load_dict
+    from djpt.description.loader import load_file as load_file
+    from djpt.description.loader import load_string as load_string
     from djpt.description.parameters import SceneParameters as SceneParameters
     from djpt.description.parameters import traverse as traverse
     from djpt.description.plugin import ParamFlags as ParamFlags
@@ -81,8 +83,6 @@ if TYPE_CHECKING:
     from djpt.description.registry import register_shape as register_shape
     from djpt.description.registry import register_texture as register_texture
     from djpt.description.registry import register_volume as register_volume
-    from djpt.description.scene_files import load_file as load_file
-    from djpt.description.scene_files import load_string as load_string
     from djpt.description.xml.writer import to_xml as to_xml
     from djpt.description.xml.writer import write_dict as write_dict
     from djpt.emitters import Emitter as Emitter

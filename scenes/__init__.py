@@ -16,11 +16,11 @@ NAMES = (
 """The keys of `SCENES`, for commands that need one of them only."""
 
 if TYPE_CHECKING:
-    from djpt.scenes.analytic import furnace as furnace
     from djpt.scenes.catalogue import SCENES as SCENES
     from djpt.scenes.cornell import cornell_box as cornell_box
     from djpt.scenes.cornell import cornell_box_boxfilter as cornell_box_boxfilter
     from djpt.scenes.cornell import cornell_box_spheres as cornell_box_spheres
+    from djpt.scenes.cornell import furnace as furnace
     from djpt.scenes.gallery import shader_ball as shader_ball
     from djpt.scenes.light_paths import door_ajar as door_ajar
     from djpt.scenes.light_paths import fixture as fixture

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from djpt.scenes.analytic import furnace
-from djpt.scenes.cornell import cornell_box, cornell_box_boxfilter, cornell_box_spheres
+from djpt.scenes.cornell import cornell_box, cornell_box_boxfilter, cornell_box_spheres, furnace
 from djpt.scenes.gallery import shader_ball
 from djpt.scenes.light_paths import door_ajar, fixture, glass_ball, lamp_behind_pane, lamp_in_glass, parabolic_mirror
 from djpt.scenes.stages import stage

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import base64
-import html
 import math
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from djpt.images.sheets import DARK, Tile, captioned_sheet, enlarged, shown
 from djpt.validation.metrics import MEASURES, flip_map, pair, within
+from djpt.validation.report import Bytes, Pictured, difference_picture
 from djpt.validation.statistics import TestResult
 
 __all__ = ["Agreement", "Comparison", "agreement"]
@@ -68,7 +68,7 @@ ALWAYS = ("mae", "relmse", "psnr", "ssim")
 
 
 @dataclass(frozen=True)
-class Comparison:
+class Comparison(Pictured):
     """The result of `compare`. `print()` shows a table, `write_picture(path)` a picture, `write_page(path)` a page.
 
     * `image`, `reference`: the mean images of the two sides, (H, W, C) float32, linear.
@@ -86,6 +86,8 @@ class Comparison:
     * `limits`: the thresholds that were given, by the names of `djpt.validation.metrics.LIMITS`.
     * `facts`: for each side, what was rendered: names and values for people to read.
     """
+
+    title = "a comparison"
 
     name: str
     image: npt.NDArray[np.float32]
@@ -161,29 +163,35 @@ class Comparison:
         """The reference's time / ours for one batch: an estimate, which `benchmarks/` measures more precisely."""
         return self.reference_seconds / self.seconds if self.seconds > 0 else math.inf
 
-    def write_picture(self, path: str | os.PathLike[str]) -> None:
-        """Write image | reference | difference side by side, as png or jpg."""
-        from djpt.validation.report import write_picture
-
-        write_picture(self, path)
-
     def write_page(self, path: str | os.PathLike[str]) -> None:
         """Write a page for a browser, one HTML file that needs no network: both images, differences, all numbers."""
         from djpt.validation.page import write_page
 
         write_page(self, path)
 
-    def _repr_html_(self) -> str:
-        """The picture and the table, for notebooks."""
-        png = base64.b64encode(self._repr_png_()).decode()
-        return f'<img src="data:image/png;base64,{png}"><pre>{html.escape(str(self))}</pre>'
+    def picture(self) -> Bytes:
+        """Three panels with captions: image | reference | difference, sRGB (H, W, 3).
 
-    def _repr_png_(self) -> bytes:
-        """The picture as a PNG, for notebooks."""
-        from djpt.images.image import Image
-        from djpt.validation.report import picture
-
-        return Image(picture(self))._repr_png_()
+        The third panel shows the mean over the channels of ours - Mitsuba's: red where ours is brighter, blue where it
+        is darker. Its full scale, stated below it, is exceeded by one pixel in a hundred.
+        """
+        difference = np.abs(np.mean(self.image.astype(np.float64) - self.reference, axis=2))
+        scale = max(float(np.quantile(difference, 0.99)), 1e-6)
+        ours, theirs = shown(self.image), shown(self.reference)
+        first, second = (
+            f"{title}, {spp} spp" if spp else title
+            for title, spp in zip(self.titles, (self.spp, self.reference_spp), strict=True)
+        )
+        tiles = [
+            Tile(first, f"mean {np.mean(self.image):.5g}", ours),
+            Tile(second, f"mean {np.mean(self.reference):.5g}", theirs),
+            Tile(
+                f"difference, RMSE {self.rmse:.3g}",
+                f"red: {self.titles[0]} brighter; full scale {scale:.2g}",
+                difference_picture(self.image, self.reference, scale),
+            ),
+        ]
+        return captioned_sheet([replace(tile, picture=enlarged(tile.picture)) for tile in tiles], palette=DARK)
 
     def rows(self, measures: tuple[str, ...] = ALWAYS) -> list[tuple[str, str, str, str]]:
         """The rows of the table: (what, value, limit, verdict), with these measures and those that have limits."""

@@ -1,63 +1,54 @@
-"""The picture of a comparison: image | reference | difference."""
+"""The pictures of results: panels side by side, and differences in red and blue."""
 
 from __future__ import annotations
 
+import base64
+import html
 import os
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from djpt.errors import FileError
 from djpt.images.formats import DISPLAY_FORMATS
-from djpt.images.image import write
-from djpt.images.sheets import DARK, Tile, captioned_sheet, enlarged, shown
+from djpt.images.image import Image, write
 
-if TYPE_CHECKING:
-    from djpt.validation.comparison import Comparison
-
-__all__ = ["check_picture", "difference_picture", "picture", "write_picture"]
+__all__ = ["Bytes", "Pictured", "difference_picture"]
 
 Bytes = npt.NDArray[np.uint8]
 
 
-def check_picture(path: str | os.PathLike[str]) -> None:
-    """Raise `FileError` unless the picture of a comparison can have this name; ask before rendering."""
-    if Path(path).suffix.lower() not in DISPLAY_FORMATS:
-        raise FileError(f"can't write '{path}': the picture of a comparison is a png or a jpg")
+class Pictured:
+    """A result that is also a picture, for files and for notebooks."""
 
+    title: ClassVar[str]
+    """The kind of result, for messages."""
 
-def write_picture(result: Comparison, path: str | os.PathLike[str]) -> None:
-    """Write `picture(result)` as png or jpg. Raises `FileError`."""
-    check_picture(path)
-    write(path, picture(result))
+    def picture(self) -> Bytes:
+        """The picture, sRGB (H, W, 3)."""
+        raise NotImplementedError
 
+    @classmethod
+    def check_picture(cls, path: str | os.PathLike[str]) -> None:
+        """Raise `FileError` unless the picture can have this name; ask before rendering."""
+        if Path(path).suffix.lower() not in DISPLAY_FORMATS:
+            raise FileError(f"can't write '{path}': the picture of {cls.title} is a png or a jpg")
 
-def picture(result: Comparison) -> Bytes:
-    """Three panels with captions, sRGB (H, W, 3).
+    def write_picture(self, path: str | os.PathLike[str]) -> None:
+        """Write `picture` as png or jpg. Raises `FileError`."""
+        self.check_picture(path)
+        write(path, self.picture())
 
-    The third panel shows the mean over the channels of ours - Mitsuba's: red where ours is brighter, blue where it
-    is darker. Its full scale, stated below it, is exceeded by one pixel in a hundred.
-    """
-    difference = np.abs(np.mean(result.image.astype(np.float64) - result.reference, axis=2))
-    scale = max(float(np.quantile(difference, 0.99)), 1e-6)
-    ours, theirs = shown(result.image), shown(result.reference)
-    first, second = (
-        f"{title}, {spp} spp" if spp else title
-        for title, spp in zip(result.titles, (result.spp, result.reference_spp), strict=True)
-    )
-    tiles = [
-        Tile(first, f"mean {np.mean(result.image):.5g}", ours),
-        Tile(second, f"mean {np.mean(result.reference):.5g}", theirs),
-        Tile(
-            f"difference, RMSE {result.rmse:.3g}",
-            f"red: {result.titles[0]} brighter; full scale {scale:.2g}",
-            difference_picture(result.image, result.reference, scale),
-        ),
-    ]
-    return captioned_sheet([replace(tile, picture=enlarged(tile.picture)) for tile in tiles], palette=DARK)
+    def _repr_png_(self) -> bytes:
+        """The picture as a PNG, for notebooks."""
+        return Image(self.picture())._repr_png_()
+
+    def _repr_html_(self) -> str:
+        """The picture and the table, for notebooks."""
+        png = base64.b64encode(self._repr_png_()).decode()
+        return f'<img src="data:image/png;base64,{png}"><pre>{html.escape(str(self))}</pre>'
 
 
 def difference_picture(image: Any, reference: Any, scale: float) -> Bytes:

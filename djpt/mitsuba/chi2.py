@@ -16,8 +16,7 @@ import numpy as np
 from djpt.core.frame import Frame3f
 from djpt.core.records import BSDFContext, DirectionSample3f, PhaseFunctionContext, SurfaceInteraction3f
 from djpt.core.records.interactions import MediumInteraction3f
-from djpt.description.loader import load_dict
-from djpt.description.scene_files import load_string
+from djpt.description.loader import load_dict, load_string
 from djpt.errors import ArgumentError, DjptError
 from djpt.jit.types import PCG32, Bool, Float, Point2f, UInt32, UInt64, Vector2f, Vector3f, backend
 from djpt.mitsuba.math import chi2, rlgamma

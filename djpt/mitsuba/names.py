@@ -57,7 +57,7 @@ EXPORTS: dict[str, str] = {
     ),
     "djpt.mitsuba.microfacet": "MicrofacetDistribution MicrofacetType eval_reflectance",
     "djpt.mitsuba.objects": "Object ObjectType PluginManager TraversalCallback register_phasefunction",
-    "djpt.sensors.projection_matrices": "orthographic_projection parse_fov perspective_projection",
+    "djpt.sensors.projective": "ProjectiveCamera orthographic_projection parse_fov perspective_projection",
     "djpt.mitsuba.random_numbers": (
         "Philox4x32 RadicalInverse ScalarPCG32 permute permute_kensler radical_inverse_2 sample_tea_32 sample_tea_64 "
         "sample_tea_float sample_tea_float32 sample_tea_float64 sobol_2"
@@ -80,7 +80,6 @@ EXPORTS: dict[str, str] = {
     ),
     "djpt.mitsuba.util": "is_monochromatic is_polarized is_rgb is_spectral scoped_set_variant variant_context",
     "djpt.sensors.base": "Sensor",
-    "djpt.sensors.projective": "ProjectiveCamera",
     "djpt.shapes.silhouettes.samples": "SilhouetteSample3f",
     "djpt.textures.base": "Texture",
     "djpt.volumes.base": "Volume",

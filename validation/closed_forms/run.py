@@ -12,14 +12,10 @@ import numpy.typing as npt
 from djpt.description.loader import load_dict
 from djpt.description.registry import registered
 from djpt.rendering.render import render
-from djpt.validation.closed_forms.base import ClosedForm
-from djpt.validation.closed_forms.floors import FLOORS
-from djpt.validation.closed_forms.glass import GLASS
-from djpt.validation.closed_forms.matter import MATTER
-from djpt.validation.closed_forms.rooms import ROOMS
+from djpt.validation.closed_forms.cases import ClosedForm
 from djpt.validation.statistics import sidak
 
-__all__ = ["CASES", "ClosedForm", "Outcome", "validate"]
+__all__ = ["Outcome", "validate"]
 
 BATCHES = 16
 
@@ -113,10 +109,3 @@ def images(
     integrator = load_dict({"type": name, **settings, **limit})
     for number in np.random.SeedSequence([seed, 13]).generate_state(BATCHES):
         yield np.array(render(scene, integrator=integrator, spp=max(1, spp // BATCHES), seed=int(number)))
-
-
-# ---- all closed forms ------------------------------------------------------------------------
-
-
-CASES: dict[str, ClosedForm] = {case.name: case for case in (*FLOORS, *ROOMS, *GLASS, *MATTER)}
-"""The closed forms by name."""

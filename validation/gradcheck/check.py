@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import base64
-import html
 import math
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -14,11 +11,13 @@ import numpy as np
 import numpy.typing as npt
 
 from djpt.errors import BackendError, ParameterError
+from djpt.images.sheets import DARK, Tile, captioned_sheet, enlarged
 from djpt.rendering.progress import Progress, watched
 from djpt.rendering.settings import check_count, check_seed
 from djpt.scenes.overrides import described, override, reduced
 from djpt.validation.gradcheck.losses import Loss, MitsubaLoss
 from djpt.validation.metrics import ComparisonError
+from djpt.validation.report import Bytes, Pictured, difference_picture
 from djpt.validation.statistics import sidak
 
 __all__ = ["Direction", "GradientCheck", "Sample", "Verdict", "check_gradient", "compared", "paired"]
@@ -255,7 +254,7 @@ SIDE = 64
 
 
 @dataclass(frozen=True)
-class GradientCheck:
+class GradientCheck(Pictured):
     """The result of `check_gradient`. `print()` shows a table; `write_picture(path)` draws a picture.
 
     * `key`, `value`: the parameter, and its entries where it was checked, (n,).
@@ -268,6 +267,8 @@ class GradientCheck:
       differences, (H, W, C).
     * `notes`: what wasn't compared, and why.
     """
+
+    title = "a gradient check"
 
     name: str
     key: str
@@ -291,12 +292,6 @@ class GradientCheck:
         """True if all comparisons passed."""
         return not self.failures
 
-    def write_picture(self, path: str | os.PathLike[str]) -> None:
-        """Write the derivative image by forward mode | by finite differences | their difference, as png or jpg."""
-        from djpt.validation.gradcheck.picture import write_picture
-
-        write_picture(self, path)
-
     def __str__(self) -> str:
         values = ", ".join(f"{x:.4g}" for x in self.value[:4]) + (", .." if self.value.size > 4 else "")
         lines = [f"{self.name}, {self.key} = {values}: {self.seeds} seeds of {self.spp} spp"]
@@ -313,17 +308,22 @@ class GradientCheck:
         lines.append("passed" if self.passed else "FAILED")
         return "\n".join(line.rstrip() for line in lines)
 
-    def _repr_png_(self) -> bytes:
-        """The picture, for notebooks."""
-        from djpt.images.image import Image
-        from djpt.validation.gradcheck.picture import picture
+    def picture(self) -> Bytes:
+        """Three panels with captions: forward mode | finite differences | what is between them, sRGB (H, W, 3).
 
-        return Image(picture(self))._repr_png_()
-
-    def _repr_html_(self) -> str:
-        """The picture and the table, for notebooks."""
-        png = base64.b64encode(self._repr_png_()).decode()
-        return f'<img src="data:image/png;base64,{png}"><pre>{html.escape(str(self))}</pre>'
+        Red is where a larger value means more light, blue where less. All have one full scale, stated below them, which
+        is exceeded by one pixel in a hundred.
+        """
+        ours, other = self.derivative, self.by_differences
+        scale = max(float(np.quantile(np.abs(np.mean(ours, axis=2)), 0.99)), 1e-9)
+        nothing = np.zeros_like(ours)
+        panels = (
+            (f"{self.key}: forward mode", f"full scale {scale:.2g}", ours, nothing),
+            ("finite differences", f"{self.seeds} seeds of {self.spp} spp", other, nothing),
+            ("the difference", "passed" if self.passed else "FAILED", ours, other),
+        )
+        tiles = [Tile(above, below, enlarged(difference_picture(a, b, scale))) for above, below, a, b in panels]
+        return captioned_sheet(tiles, palette=DARK)
 
 
 def check_gradient(

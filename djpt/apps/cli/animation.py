@@ -142,8 +142,7 @@ def write(
     require_positive(spp=spp, frames=frames, width=width, height=height)
     description = described(scene, parameters(define))[1]
     import djpt
-    from djpt.apps.animation.frames import render_frames
-    from djpt.apps.animation.movie import MOVIES, check_movie, write_movie
+    from djpt.apps.animation.frames import MOVIES, check_movie, render_frames, write_movie
     from djpt.apps.cli.tone import Tone
     from djpt.scene.arguments import find_sensor
 

@@ -88,7 +88,7 @@ def command(
     Scenes are rendered, images are read. The exit code is 1 if a test or a threshold fails.
     """
     from djpt.images.image import check_writable
-    from djpt.validation.report import check_picture
+    from djpt.validation.comparison import Comparison
 
     require_positive(spp=spp, reference_spp=reference_spp, width=width, height=height)
     changes: dict[str, Any] = {"width": width, "height": height, "rfilter": rfilter, "integrator": integrator}
@@ -101,7 +101,7 @@ def command(
     drawn = picture if picture is not None else output is not None or (report is None and not as_json)
     if drawn:
         check_writable(target)
-        check_picture(target)
+        Comparison.check_picture(target)
     if report is not None:
         check_page(report)
     require_different(

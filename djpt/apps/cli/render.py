@@ -93,7 +93,7 @@ def command(
     quiet: bool,
 ) -> None:
     """Render SCENE to an image file."""
-    from djpt.description.document import files_of
+    from djpt.description.files import files_of
     from djpt.scenes.overrides import described, override
 
     require_positive(spp=spp, width=width, height=height)

@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 import djpt
 from djpt.core.files import read_bytes, shortened, writing
-from djpt.description.document import named_files, with_files
+from djpt.description.files import named_files, with_files
 from djpt.errors import FileError, SceneError
 from djpt.jit.llvm.lanes import lane_count
 from djpt.rendering.progressive.rounds import Rounds

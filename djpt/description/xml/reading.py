@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from djpt.core.files import as_path, require_regular
-from djpt.description.document import Document
-from djpt.description.files import file_resolver
+from djpt.description.files import Document, file_resolver
 from djpt.description.xml.reader import Reader
 from djpt.description.xml.source import Entry, Node, Reference
 from djpt.errors import FileError, SceneError, near_miss
