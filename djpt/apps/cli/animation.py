@@ -143,7 +143,7 @@ def write(
     description = described(scene, parameters(define))[1]
     import djpt
     from djpt.apps.animation.frames import MOVIES, check_movie, render_frames, write_movie
-    from djpt.apps.cli.tone import Tone
+    from djpt.apps.cli.pictures import Tone
     from djpt.scene.arguments import find_sensor
 
     if output.suffix.lower() in MOVIES and not output.is_dir():

@@ -87,7 +87,7 @@ class Passes:
         The function ends the process if a signal has come. A signal ends a render only after the checkpoint is written.
         """
         import djpt
-        from djpt.apps.cli.tone import channels_for
+        from djpt.apps.cli.pictures import channels_for
 
         begun, spp = None, settings.spp
         if self.resume and self.checkpoint is not None and self.checkpoint.exists():

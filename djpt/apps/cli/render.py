@@ -115,7 +115,7 @@ def command(
         )
         in_rounds.check()
     # NumPy is imported after the scene was found.
-    from djpt.apps.cli.tone import Tone, channels_for, layers
+    from djpt.apps.cli.pictures import Tone, channels_for, layers
     from djpt.images.image import check_writable
     from djpt.rendering.settings import RenderSettings
 
@@ -147,7 +147,7 @@ def command(
 
     metadata = {"scene": name, **({"denoised": denoiser} if denoise else {}), **({} if tone is None else tone.facts)}
     if in_rounds is not None:
-        from djpt.apps.cli.tone import carried
+        from djpt.apps.cli.pictures import carried
         from djpt.rendering.progressive.to_file import facts
 
         with ending_at_once():
