@@ -130,8 +130,8 @@ def plugin(type: str, **parameters: Any) -> dict[str, Any]:
 
 
 def panel(subtitle: str, type: str, **parameters: Any) -> Panel:
-    """The panel of a material."""
-    return Panel(type, subtitle, lambda: plugin(type, **parameters))
+    """The panel of a material; what takes time to compute may be given as a function."""
+    return Panel(type, subtitle, lambda: plugin(type, **{k: v() if callable(v) else v for k, v in parameters.items()}))
 
 
 METAL_PATCHES = plugin("twosided", inner=plugin("roughconductor", material="Cu", alpha=0.25))
@@ -146,7 +146,9 @@ MATERIALS: dict[str, Panel] = {
     "twosided": Panel(
         "twosided", "in a mask: two sides", lambda: plugin("mask", opacity=squares(4, 3), inner=PAINTED_SIDES)
     ),
-    "mask": panel("opacity: a bitmap", "mask", opacity=bitmap(1 - np.sign(dots(9, 12, 0.38))), inner=METAL_PATCHES),
+    "mask": panel(
+        "opacity: a bitmap", "mask", opacity=lambda: bitmap(1 - np.sign(dots(9, 12, 0.38))), inner=METAL_PATCHES
+    ),
     "null": panel("no surface", "null"),
     "phong": panel("exponent 60", "phong", **GLOSSY),
     "blinn": panel("exponent 60", "blinn", **GLOSSY),
@@ -167,14 +169,14 @@ MATERIALS: dict[str, Panel] = {
     "bumpmap": panel(
         "heights",
         "bumpmap",
-        heights=bitmap(dots(9, 12, 0.45)),
+        heights=lambda: bitmap(dots(9, 12, 0.45)),
         scale=0.08,
         inner=plugin("roughplastic", diffuse_reflectance=LEAF, alpha=0.1),
     ),
     "normalmap": panel(
         "an image of normals",
         "normalmap",
-        normalmap=bitmap(normals_of(-dots(14, 24, 0.46), 3.0)),
+        normalmap=lambda: bitmap(normals_of(-dots(14, 24, 0.46), 3.0)),
         inner=plugin("roughconductor", material="Ag", alpha=0.15),
     ),
     "mirror": panel("reflectance 0.9", "mirror", reflectance=0.9),
