@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import builtins
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+import contextlib
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +17,7 @@ from djpt.core.transforms import ScalarTransform4f, as_transform
 from djpt.description.entries import REQUIRED, Entries
 from djpt.description.plugin import Plugin
 from djpt.description.registry import kind_of, lookup
-from djpt.errors import SceneError, near_miss
+from djpt.errors import DjptError, SceneError, near_miss
 
 if TYPE_CHECKING:
     from djpt.textures.base import Texture
@@ -160,6 +161,14 @@ class Properties(Entries):
     def error(self, key: str, problem: str) -> SceneError:
         """Make the error to raise for an entry: ``scene.x: 'fov' must be a float, found str 'abc'``."""
         return SceneError(f"{self._place(key)}: '{key}' {problem}")
+
+    @contextlib.contextmanager
+    def naming(self, key: str) -> Iterator[None]:
+        """Make errors about a value those of an entry, see `error`."""
+        try:
+            yield
+        except DjptError as error:
+            raise self.error(key, str(error)) from None
 
     def _place(self, key: str) -> str:
         return self.node if self._place_of is None else self._place_of(key)

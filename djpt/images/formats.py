@@ -210,10 +210,6 @@ def _read_pfm(path: Path) -> Pixels:
     return pixels[::-1].astype(np.float32)
 
 
-def _write_npy(path: Path, image: Pixels, labels: Labels) -> None:
-    write_npy(path, image)
-
-
 def write_npy(path: Path, array: npt.NDArray[Any]) -> None:
     """Write an array in NumPy's format. NumPy's own writing to files doesn't say why it failed."""
     array = np.ascontiguousarray(array)
@@ -276,10 +272,6 @@ def _picture(pixels: Bytes) -> Picture:
 
     height, width, count = pixels.shape
     return Image.frombuffer(_MODES[count], (width, height), np.ascontiguousarray(pixels), "raw", _MODES[count], 0, 1)
-
-
-def _write_png(path: Path, image: Pixels, labels: Labels) -> None:
-    encode_png(path, _as_bytes(image), labels.metadata)
 
 
 def _write_jpg(path: Path, image: Pixels, labels: Labels) -> None:
@@ -347,8 +339,10 @@ FORMATS = {
     ".exr": Format((), _write_exr, _read_exr),
     ".hdr": Format((3,), _write_hdr, _read_hdr),
     ".pfm": Format((1, 3), _write_pfm, _read_pfm),
-    ".npy": Format((), _write_npy, _read_npy),
-    ".png": Format((1, 2, 3, 4), _write_png, _read_picture),
+    ".npy": Format((), lambda path, image, labels: write_npy(path, image), _read_npy),
+    ".png": Format(
+        (1, 2, 3, 4), lambda path, image, labels: encode_png(path, _as_bytes(image), labels.metadata), _read_picture
+    ),
     ".jpg": Format((1, 2, 3, 4), _write_jpg, _read_picture),
     ".jpeg": Format((1, 2, 3, 4), _write_jpg, _read_picture),
     ".bmp": Format((1, 3), _write_plain, _read_picture),

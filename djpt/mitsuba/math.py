@@ -11,6 +11,7 @@ import numpy as np
 from djpt.core.forms import forms
 from djpt.core.srgb import linear_to_srgb, srgb_to_linear
 from djpt.distributions.search import find_interval
+from djpt.errors import BackendError
 from djpt.jit.types import Bool, Float, Point2f, UInt32, Vector3f, backend, converting
 
 __all__ = [
@@ -221,39 +222,20 @@ def chi2(obs: Any, exp: Any, pool_threshold: float) -> tuple[float, int, int, in
 
 
 def rlgamma(a: float, x: float) -> float:
-    """The regularised lower incomplete gamma function P(a, x), for a > 0 and x >= 0.
+    """The regularised lower incomplete gamma function P(a, x), for a > 0 and x >= 0, by SciPy.
 
-    By its power series for x < a + 1, else 1 - Q by Lentz's evaluation of the continued fraction (W. H. Press et al.,
-    "Numerical Recipes", 3rd ed., 6.2). With a = n / 2 and x = s / 2 it is the chance that Pearson's statistic with n
-    degrees of freedom is at most s.
+    With a = n / 2 and x = s / 2 it is the chance that Pearson's statistic with n degrees of freedom is at most s.
+
+    Raises:
+        BackendError: SciPy isn't installed.
     """
     if a < 0 or x < 0:
         raise ValueError(f"rlgamma(): 'a' and 'x' must not be negative, found {a} and {x}")
-    if x == 0:
-        return 0.0
-    scale = math.exp(a * math.log(x) - x - math.lgamma(a))
-    if x < a + 1:
-        term = total = 1 / a
-        n = a
-        while abs(term) > 1e-16 * abs(total):
-            n += 1
-            term *= x / n
-            total += term
-        return scale * total
-    tiny = 1e-300
-    b = x + 1 - a
-    c, d = 1 / tiny, 1 / b
-    fraction = d
-    for i in range(1, 100000):
-        numerator = -i * (i - a)
-        b += 2
-        d, c = numerator * d + b, b + numerator / c
-        d = 1 / (d if abs(d) > tiny else tiny)
-        c = c if abs(c) > tiny else tiny
-        fraction *= c * d
-        if abs(c * d - 1) < 1e-15:
-            break
-    return 1 - scale * fraction
+    try:
+        from scipy.special import gammainc
+    except ImportError:
+        raise BackendError("the chi-squared test needs SciPy: pip install scipy") from None
+    return float(gammainc(a, x))
 
 
 # ---- directions and their spherical coordinates ----------------------------------------------

@@ -69,10 +69,8 @@ class Sensor(SampledRays, Endpoint):
         self._sampler: Sampler = props.child("sampler") or default(props, "sampler", "independent")
         self._medium = props.child("medium")
         self.to_world = props.transform("to_world")
-        try:
+        with props.naming("to_world"):
             self.check_placement(self.to_world)
-        except SceneError as error:
-            raise props.error("to_world", str(error)) from None
         opens = self._shutter_open = props.float("shutter_open", 0.0)
         self._shutter_open_time = props.float("shutter_close", opens) - opens
         if self._shutter_open_time < 0:

@@ -36,10 +36,8 @@ class IrregularSpectrum(TabulatedSpectrum):
         else:
             wavelengths, values = list_of_numbers(props, "wavelengths"), list_of_numbers(props, "values")
         self.wavelengths, self.samples = (Float(x.astype(np.float32)) for x in (wavelengths, values))
-        try:
+        with props.naming("values"):
             pairs = pairs_of(wavelengths, values)
-        except SceneError as error:
-            raise props.error("values", str(error)) from None
         super().__init__(props, pairs)
 
     def traverse(self, callback: TraversalCallback) -> None:

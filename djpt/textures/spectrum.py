@@ -11,7 +11,7 @@ from djpt.core.numeric import as_array, describe
 from djpt.description.files import resolve
 from djpt.description.properties import Properties
 from djpt.description.registry import register_texture
-from djpt.errors import DjptError, SceneError
+from djpt.errors import SceneError
 from djpt.images.colorimetry import XYZ_TO_RGB, read_pairs
 from djpt.textures.tabulated import Pairs, TabulatedSpectrum, pairs_of
 
@@ -35,19 +35,13 @@ class SpectrumTexture(TabulatedSpectrum):
             pairs = from_file(props)
         else:
             value = props.raw("value")
-            numbers = self._numbers_in(props, value)
+            with props.naming("value"):
+                numbers = as_array(value)
             if numbers.ndim == 0:
                 self._constant = float(numbers)
             else:
                 pairs = from_list(props, value, numbers)
         super().__init__(props, pairs)
-
-    @staticmethod
-    def _numbers_in(props: Properties, value: Any) -> NDArray[np.float64]:
-        try:
-            return as_array(value)
-        except SceneError as error:
-            raise props.error("value", str(error)) from None
 
     def _colour(self) -> list[float]:
         if self._constant is None:
@@ -70,11 +64,9 @@ def from_list(props: Properties, value: Any, array: NDArray[np.float64]) -> Pair
 
 def from_file(props: Properties) -> Pairs:
     """The spectrum in a text file."""
-    try:
+    with props.naming("filename"):
         wavelengths, values = read_pairs(resolve(props.string("filename")))
         return pairs_of(np.array(wavelengths), np.array(values))
-    except DjptError as error:
-        raise props.error("filename", str(error)) from None
 
 
 register_texture("spectrum", SpectrumTexture)

@@ -38,10 +38,8 @@ class SRGBReflectance(ConstantTexture):
 def three_numbers(props: Properties, key: str) -> list[float]:
     """The red, green and blue of an entry, which may be a constant texture."""
     value = props[key]
-    try:
+    with props.naming(key):
         numbers: list[float] = as_vector(value).tolist()
-    except SceneError as error:
-        raise props.error(key, str(error)) from None
     return numbers
 
 

@@ -82,7 +82,5 @@ def nested_pairs(props: Properties) -> Pairs:
 def list_of_numbers(props: Properties, key: str) -> NDArray[np.float64]:
     """The numbers of an entry, a list or text with commas or spaces in between, (n,) float64."""
     value: Any = props.raw(key)
-    try:
+    with props.naming(key):
         return as_array(numbers_in(value) if isinstance(value, str) else value).reshape(-1)
-    except SceneError as error:
-        raise props.error(key, str(error)) from None

@@ -35,10 +35,8 @@ class UniformTexture(Texture):
         value = props.raw("value")
         for key in ("wavelength_min", "wavelength_max"):
             props.float(key, 0.0)
-        try:
+        with props.naming("value"):
             self.value = as_float(as_number(value))
-        except SceneError as error:
-            raise props.error("value", str(error)) from None
         self._allowed = Allowed()
 
     def eval(self, si: Any, active: Bool | bool = True) -> Color3f:

@@ -57,13 +57,11 @@ def bounces(
     terms = [image[..., first + 3 * k : first + 3 * k + 3] for k in range(max_depth)]
     total = np.sum(terms, axis=0)
     gain = 2.0 ** stops(exposure, total)
-    tiles = [Tile(term_title(k), FIRST[k] if k < 3 else f"{k} times", shown(gain * t)) for k, t in enumerate(terms)]
+    tiles = [
+        Tile(("E", "KE")[k] if k < 2 else f"K^{k}E", FIRST[k] if k < 3 else f"{k} times", shown(gain * term))
+        for k, term in enumerate(terms)
+    ]
     return [*tiles, Tile("sum", f"up to {max_depth} edges", shown(gain * total))]
-
-
-def term_title(k: int) -> str:
-    """The title of the k-th term of the Neumann series."""
-    return ("E", "KE")[k] if k < 2 else f"K^{k}E"
 
 
 def samples(

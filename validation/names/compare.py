@@ -11,7 +11,7 @@ import re
 import sys
 import typing
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from inspect import Parameter, Signature
 from types import FunctionType, MethodType, ModuleType
 from typing import Any
@@ -140,13 +140,6 @@ def compare_array_type(name: PublicName, ours: Any) -> str | None:
     return None if all(f(ours) == f(name.value) for f in traits) else f"another type: {ours.__name__}"
 
 
-def compare_function(name: PublicName, ours: Any) -> str | None:
-    """Compare the calls that two functions allow."""
-    if not callable(ours):
-        return "not a function"
-    return refusal(signatures(name.value, bound=False), signatures(ours, bound=False))
-
-
 def compare_method(name: PublicName, ours: Any) -> str | None:
     """Compare the calls that two methods allow."""
     if not isinstance(ours, Method):
@@ -160,27 +153,10 @@ def compare_method(name: PublicName, ours: Any) -> str | None:
     return refusal(theirs, signatures(ours.value, bound=plain))
 
 
-def compare_property(name: PublicName, ours: Any) -> str | None:
-    """An attribute stays an attribute."""
-    return "a method, not an attribute" if isinstance(ours, Method) else None
-
-
 def compare_constant(name: PublicName, ours: Any) -> str | None:
     """Compare two values."""
-    if isinstance(ours, (Method, Field, property)) or ours != name.value:
-        return f"another value: {ours!r}"
-    return None
-
-
-def compare_member(name: PublicName, ours: Any) -> str | None:
-    """Compare the numbers of two members of enumerations."""
-    number = getattr(ours, "value", ours)
-    return None if number == name.value.value else f"another value: {number!r}"
-
-
-def compare_module(name: PublicName, ours: Any) -> str | None:
-    """Modules are compared name by name."""
-    return None
+    found = isinstance(ours, (Method, Field, property))
+    return f"another value: {ours!r}" if found or ours != name.value else None
 
 
 def refusal(theirs: list[inspect.Signature], ours: list[inspect.Signature]) -> str | None:
@@ -194,14 +170,18 @@ def refusal(theirs: list[inspect.Signature], ours: list[inspect.Signature]) -> s
 
 
 COMPARE: dict[str, Callable[[PublicName, Any], str | None]] = {
-    "module": compare_module,
+    "module": lambda name, ours: None,  # compared name by name
     "class": compare_class,
     "array type": compare_array_type,
-    "function": compare_function,
+    "function": lambda name, ours: (
+        refusal(signatures(name.value, bound=False), signatures(ours, bound=False))
+        if callable(ours)
+        else "not a function"
+    ),
     "method": compare_method,
-    "property": compare_property,
+    "property": lambda name, ours: "a method, not an attribute" if isinstance(ours, Method) else None,
     "constant": compare_constant,
-    "member": compare_member,
+    "member": lambda name, ours: compare_constant(replace(name, value=name.value.value), getattr(ours, "value", ours)),
 }
 
 

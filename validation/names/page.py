@@ -44,8 +44,10 @@ def share(number: Counter[Verdict]) -> float:
 
 def render_page(found: list[Finding]) -> str:
     """The page in Markdown."""
-    sections = (summary, exclusions, different, absent, here)
-    return "\n".join([HEAD, *(line for section in sections for line in section(found))]) + "\n"
+    different = [f"* `{f.name.path}`: {f.note}" for f in found if f.verdict is Verdict.DIFFERENT]
+    lines = [HEAD, *summary(found), *exclusions(found), "## Different", "", *different, ""]
+    lines += ["## Absent", "", *by_owner(found, Verdict.ABSENT), "", HERE, "", *by_owner(found, Verdict.HERE)]
+    return "\n".join(lines) + "\n"
 
 
 def summary(found: list[Finding]) -> list[str]:
@@ -79,22 +81,6 @@ def exclusions(found: list[Finding]) -> list[str]:
     for why, family in families.items():
         lines += [f"{why}", f": {len(family)}: {names_of(family)}", ""]
     return lines
-
-
-def different(found: list[Finding]) -> list[str]:
-    """The names that differ, each with the calls that are refused."""
-    chosen = [f for f in found if f.verdict is Verdict.DIFFERENT]
-    return ["## Different", "", *(f"* `{f.name.path}`: {f.note}" for f in chosen), ""]
-
-
-def absent(found: list[Finding]) -> list[str]:
-    """The names that are missing, by class."""
-    return ["## Absent", "", *by_owner(found, Verdict.ABSENT), ""]
-
-
-def here(found: list[Finding]) -> list[str]:
-    """The names that are here, by class."""
-    return [HERE, "", *by_owner(found, Verdict.HERE)]
 
 
 def by_owner(found: list[Finding], verdict: Verdict) -> list[str]:

@@ -98,15 +98,11 @@ class InOrder:
             raise RenderError(GONE) from error
         finally:
             # Without waiting for the scheduler, which may be gone.
-            for future in (*self._scenes.values(), *(attempt.future for attempt in self._all())):
+            left = [attempt.future for attempts in self._attempts.values() for attempt in attempts]
+            for future in (*self._scenes.values(), *left):
                 future.release()
             self._attempts.clear()
             self._scenes.clear()
-
-    def _all(self) -> Iterator[Attempt]:
-        """All attempts whose results haven't been taken."""
-        for attempts in self._attempts.values():
-            yield from attempts
 
     def _look(self) -> frozenset[str]:
         """The current workers, noted by the watch; if the scheduler doesn't answer, those that it knew last."""

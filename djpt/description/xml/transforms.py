@@ -37,14 +37,6 @@ def transform(element: Element, substitute: Callable[[Element], None]) -> Scalar
     return result
 
 
-def _translate(element: Element) -> ScalarTransform4f:
-    return ScalarTransform4f.translate(vector(element, 0.0))
-
-
-def _scale(element: Element) -> ScalarTransform4f:
-    return ScalarTransform4f.scale(vector(element, 1.0))
-
-
 def _rotate(element: Element) -> ScalarTransform4f:
     """A rotation; what Mitsuba makes of an axis without unit length, for files that contain one."""
     axis, angle = vector(element, 0.0, "angle"), number(element, element.attributes["angle"])
@@ -91,8 +83,8 @@ def _matrix(element: Element) -> ScalarTransform4f:
 
 
 OPERATIONS: dict[str, Callable[[Element], ScalarTransform4f]] = {
-    "translate": _translate,
-    "scale": _scale,
+    "translate": lambda element: ScalarTransform4f.translate(vector(element, 0.0)),
+    "scale": lambda element: ScalarTransform4f.scale(vector(element, 1.0)),
     "rotate": _rotate,
     "lookat": _look_at,
     "matrix": _matrix,
