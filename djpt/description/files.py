@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping
 from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, TypeVar
 
-from djpt.core.files import as_path, shortened
+from djpt.core.files import as_path, read_bytes, shortened
+from djpt.core.limits import LARGEST
 from djpt.errors import FileError
 
 __all__ = [
+    "NUMBER",
     "Document",
     "FileResolver",
     "confined",
@@ -20,6 +23,7 @@ __all__ = [
     "files_of",
     "named_files",
     "read_once",
+    "read_pairs",
     "reading_once",
     "resolve",
     "set_file_resolver",
@@ -270,3 +274,35 @@ def of(node: Mapping[str, Any]) -> Iterator[str]:
             yield from of(value)
         elif key == "filename" and isinstance(value, (str, os.PathLike)):
             yield os.fspath(value)
+
+
+# ---- files of spectra ------------------------------------------------------------------------
+
+NUMBER = r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?"
+"""A number as text; what Python takes for one is written in other ways as well (nan, 1_000)."""
+
+
+def read_pairs(filename: str | os.PathLike[str]) -> tuple[list[float], list[float]]:
+    """Wavelengths and values in a text file (spd): two numbers a line, apart by spaces or commas; # begins a comment.
+
+    Raises:
+        FileError: The file can't be read, or a line has other than two numbers.
+    """
+    name = as_path(filename)
+    try:
+        lines = [line.partition("#")[0].strip() for line in read_bytes(name).decode("utf-8").splitlines()]
+    except UnicodeError:
+        raise FileError(f"can't read '{name}': it isn't a text file") from None
+    wavelengths, values = [], []
+    for number, line in enumerate(lines, 1):
+        if not line:
+            continue
+        words = re.split(r"[,\s]+", line)
+        # What is found isn't quoted: an untrusted scene may name any file.
+        if len(words) != 2 or not all(re.fullmatch(NUMBER, word, re.ASCII) for word in words):
+            raise FileError(f"{name}:{number}: must be two numbers, a wavelength and a value")
+        if max(abs(float(word)) for word in words) > LARGEST:
+            raise FileError(f"{name}:{number}: must be finite in single precision")
+        wavelengths.append(float(words[0]))
+        values.append(float(words[1]))
+    return wavelengths, values

@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-import os
-import re
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-
-from djpt.core.files import as_path, read_bytes
-from djpt.core.limits import LARGEST
-from djpt.errors import FileError
 
 __all__ = [
     "DAYLIGHT",
@@ -22,42 +16,9 @@ __all__ = [
     "SHORTEST",
     "XYZ_TO_RGB",
     "black_body_xyz",
-    "read_pairs",
     "spectrum_to_rgb",
     "spectrum_to_xyz",
 ]
-
-
-NUMBER = r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?"
-
-
-def read_pairs(filename: str | os.PathLike[str]) -> tuple[list[float], list[float]]:
-    """Wavelengths and values in a text file (spd): two numbers a line, apart by spaces or commas; # begins a comment.
-
-    Raises:
-        FileError: The file can't be read, or a line has other than two numbers.
-    """
-    name = as_path(filename)
-    try:
-        lines = [line.partition("#")[0].strip() for line in read_bytes(name).decode("utf-8").splitlines()]
-    except UnicodeError:
-        raise FileError(f"can't read '{name}': it isn't a text file") from None
-    wavelengths, values = [], []
-    for number, line in enumerate(lines, 1):
-        if not line:
-            continue
-        words = re.split(r"[,\s]+", line)
-        # What is found isn't quoted: an untrusted scene may name any file.
-        if len(words) != 2 or not all(re.fullmatch(NUMBER, word, re.ASCII) for word in words):
-            raise FileError(f"{name}:{number}: must be two numbers, a wavelength and a value")
-        if max(abs(float(word)) for word in words) > LARGEST:
-            raise FileError(f"{name}:{number}: must be finite in single precision")
-        wavelengths.append(float(words[0]))
-        values.append(float(words[1]))
-    return wavelengths, values
-
-
-# ---- colours of spectra ----------------------------------------------------------------------
 
 
 SHORTEST, LONGEST = 360.0, 830.0

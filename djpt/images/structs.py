@@ -312,11 +312,8 @@ def convert_fields(source: Struct, target: Struct, columns: Mapping[str, Numbers
     for field in source:
         if field.flags & Flags.Check and not np.all(columns[field.name] == stored_value(field)):
             raise SceneError(f"field '{field.name}' isn't {field.value:g} everywhere")
-    weight = (
-        1 / nonzero(source, Flags.Weight, columns)
-        if has(source, Flags.Weight) and not has(target, Flags.Weight)
-        else None
-    )
+    divides = has(source, Flags.Weight) and not has(target, Flags.Weight)
+    weight = 1 / nonzero(source, Flags.Weight, columns) if divides else None
     result = {}
     for field in target:
         if field.blend:

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.core.numeric import as_array, describe
-from djpt.description.files import resolve
+from djpt.description.files import read_pairs, resolve
 from djpt.description.properties import Properties
 from djpt.description.registry import register_texture
 from djpt.errors import SceneError
-from djpt.images.colorimetry import XYZ_TO_RGB, read_pairs
+from djpt.images.colorimetry import XYZ_TO_RGB
 from djpt.textures.tabulated import Pairs, TabulatedSpectrum, pairs_of
 
 __all__ = ["SpectrumTexture"]

@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from djpt.core.limits import LARGEST
+from djpt.description.files import NUMBER, read_pairs
 from djpt.description.xml.source import Element
 from djpt.errors import FileError, near_miss
 
 __all__ = ["VALUES", "check_attributes", "number", "numbers", "spectrum_file", "vector"]
 
-_FLOAT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+_FLOAT = re.compile(NUMBER, re.ASCII)
 _PLAIN = re.compile(r"[-+.eE:,\s\d]*", re.ASCII)
 """The characters of pairs of numbers; what Python takes for numbers is written in others as well (nan, 1_000)."""
 _INTEGER = re.compile(r"[+-]?\d{1,19}", re.ASCII)
@@ -123,8 +124,6 @@ def _pair(element: Element, text: str) -> tuple[float, float]:
 
 def spectrum_file(element: Element, path: Path) -> dict[str, Any]:
     """Read the spectrum in a text file: a wavelength in nm and a value per line, ``#`` for comments."""
-    from djpt.images.colorimetry import read_pairs  # here: NumPy takes long to import
-
     try:
         pairs = list(zip(*read_pairs(path), strict=True))
     except FileError as error:
