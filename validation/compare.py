@@ -104,18 +104,18 @@ def compared(
     a: Comparand,
     b: Comparand,
     *,
-    name: str,
-    spp: int,
-    reference_spp: int | None,
-    seed: int,
-    significance: float,
-    tests: bool,
-    batches: int,
-    same_seed_spp: int,
-    same_estimator: bool,
-    independent_pixels: bool,
     limits: Mapping[str, float],
-    progress: Progress | None,
+    name: str = "scene",
+    spp: int = 64,
+    reference_spp: int | None = None,
+    seed: int = 0,
+    significance: float = 1e-3,
+    tests: bool = True,
+    batches: int = 8,
+    same_seed_spp: int = 16,
+    same_estimator: bool = True,
+    independent_pixels: bool = False,
+    progress: Progress | None = None,
 ) -> Comparison:
     """Render what has to be rendered, and compare: the arguments are those of `djpt.validation.compare.compare`.
 
@@ -435,41 +435,19 @@ def compare_renderers(
     theirs: Renderer,
     *,
     paired: Renderer | None = None,
-    name: str = "scene",
-    spp: int = 64,
     rmse: float | None = None,
     same_seed: float | None = None,
     limits: Mapping[str, float | None] | None = None,
-    reference_spp: int | None = None,
-    seed: int = 0,
-    significance: float = 1e-3,
-    batches: int = 8,
-    same_seed_spp: int = 16,
-    same_estimator: bool = True,
-    independent_pixels: bool = False,
-    progress: Progress | None = None,
+    **options: Any,
 ) -> Comparison:
-    """Compare any two functions (spp, seed) -> (H, W, C), as `compare` does.
+    """Compare any two functions (spp, seed) -> (H, W, C), as `compare` does, with its arguments by keyword.
 
-    `paired`: renders the reference of the same-seed pair in place of `theirs`. `same_estimator`: both
-    have the same variance. `independent_pixels`: pixels share no samples (box filter).
+    `paired`: renders the reference of the same-seed pair in place of `theirs`. Further arguments are `same_estimator`,
+    whether both have the same variance (default true), and `independent_pixels`, whether pixels share no samples, as
+    with a box filter (default false).
     """
-    return compared(
-        Comparand("djpt", ours),
-        Comparand("Mitsuba", theirs, paired),
-        name=name,
-        spp=spp,
-        reference_spp=reference_spp,
-        seed=seed,
-        significance=significance,
-        tests=True,
-        batches=batches,
-        same_seed_spp=same_seed_spp,
-        same_estimator=same_estimator,
-        independent_pixels=independent_pixels,
-        limits=checked_limits({**(limits or {}), **given(rmse=rmse, same_seed=same_seed)}),
-        progress=progress,
-    )
+    asked = checked_limits({**(limits or {}), **given(rmse=rmse, same_seed=same_seed)})
+    return compared(Comparand("djpt", ours), Comparand("Mitsuba", theirs, paired), limits=asked, **options)
 
 
 def found(value: Any, parameters: Mapping[str, str] | None) -> tuple[str, Any]:

@@ -100,69 +100,40 @@ def is_own(factory: Factory) -> bool:
     return str(getattr(factory, "__module__", "")).rpartition(".")[0] in PACKAGES
 
 
-def register_bsdf(name: str, constructor: Factory) -> None:
-    """Register a scattering model; `constructor(props)` returns a `djpt.materials.BSDF`."""
-    register("bsdf", name, constructor)
+def registering(kind: str, what: str) -> Callable[[str, Factory], None]:
+    """The function that registers plugins of a kind; `what` they are, for its documentation."""
+
+    def function(name: str, constructor: Factory) -> None:
+        register(kind, name, constructor)
+
+    function.__name__ = function.__qualname__ = f"register_{kind}"
+    function.__doc__ = f"Register {what}."
+    return function
 
 
-def register_emitter(name: str, constructor: Factory) -> None:
-    """Register a light source; `constructor(props)` returns a `djpt.emitters.Emitter`."""
-    register("emitter", name, constructor)
-
-
-def register_film(name: str, constructor: Factory) -> None:
-    """Register a film; `constructor(props)` returns a plugin of kind `film`."""
-    register("film", name, constructor)
-
-
-def register_integrator(name: str, constructor: Factory) -> None:
-    """Register an estimator; `constructor(props)` returns a `djpt.integrators` integrator."""
-    register("integrator", name, constructor)
-
-
-def register_medium(name: str, constructor: Factory) -> None:
-    """Register a participating medium; `constructor(props)` returns a plugin of kind `medium`."""
-    register("medium", name, constructor)
-
-
-def register_phase(name: str, constructor: Factory) -> None:
-    """Register a phase function; `constructor(props)` returns a `djpt.phase.PhaseFunction`."""
-    register("phase", name, constructor)
-
-
-def register_rfilter(name: str, constructor: Factory) -> None:
-    """Register a reconstruction filter; `constructor(props)` returns a plugin of kind `rfilter`."""
-    register("rfilter", name, constructor)
-
-
-def register_sampler(name: str, constructor: Factory) -> None:
-    """Register a source of sample points; `constructor(props)` returns a `djpt.samplers.Sampler`."""
-    register("sampler", name, constructor)
-
-
-def register_scene(name: str, constructor: Factory) -> None:
-    """Register a kind of scene; `constructor(props)` returns a `djpt.Scene`."""
-    register("scene", name, constructor)
-
-
-def register_sensor(name: str, constructor: Factory) -> None:
-    """Register a camera; `constructor(props)` returns a plugin of kind `sensor`."""
-    register("sensor", name, constructor)
-
-
-def register_shape(name: str, constructor: Factory) -> None:
-    """Register a shape; `constructor(props)` returns a `djpt.shapes.Shape`."""
-    register("shape", name, constructor)
-
-
-def register_texture(name: str, constructor: Factory) -> None:
-    """Register a texture; `constructor(props)` returns a `djpt.textures.Texture`."""
-    register("texture", name, constructor)
-
-
-def register_volume(name: str, constructor: Factory) -> None:
-    """Register a volume of numbers or colours; `constructor(props)` returns a `djpt.volumes.Volume`."""
-    register("volume", name, constructor)
+register_bsdf = registering("bsdf", "a scattering model; `constructor(props)` returns a `djpt.materials.BSDF`")
+register_emitter = registering("emitter", "a light source; `constructor(props)` returns a `djpt.emitters.Emitter`")
+register_film = registering("film", "a film; `constructor(props)` returns a plugin of kind `film`")
+register_integrator = registering(
+    "integrator", "an estimator; `constructor(props)` returns a `djpt.integrators` integrator"
+)
+register_medium = registering(
+    "medium", "a participating medium; `constructor(props)` returns a plugin of kind `medium`"
+)
+register_phase = registering("phase", "a phase function; `constructor(props)` returns a `djpt.phase.PhaseFunction`")
+register_rfilter = registering(
+    "rfilter", "a reconstruction filter; `constructor(props)` returns a plugin of kind `rfilter`"
+)
+register_sampler = registering(
+    "sampler", "a source of sample points; `constructor(props)` returns a `djpt.samplers.Sampler`"
+)
+register_scene = registering("scene", "a kind of scene; `constructor(props)` returns a `djpt.Scene`")
+register_sensor = registering("sensor", "a camera; `constructor(props)` returns a plugin of kind `sensor`")
+register_shape = registering("shape", "a shape; `constructor(props)` returns a `djpt.shapes.Shape`")
+register_texture = registering("texture", "a texture; `constructor(props)` returns a `djpt.textures.Texture`")
+register_volume = registering(
+    "volume", "a volume of numbers or colours; `constructor(props)` returns a `djpt.volumes.Volume`"
+)
 
 
 def registered(kind: str | None = None) -> dict[str, Factory]:
