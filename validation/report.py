@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import html
 import os
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -15,7 +16,7 @@ from djpt.errors import FileError
 from djpt.images.formats import DISPLAY_FORMATS
 from djpt.images.image import Image, write
 
-__all__ = ["Bytes", "Pictured", "difference_picture"]
+__all__ = ["Bytes", "Pictured", "address", "difference_picture", "document", "read_beside"]
 
 Bytes = npt.NDArray[np.uint8]
 
@@ -47,8 +48,7 @@ class Pictured:
 
     def _repr_html_(self) -> str:
         """The picture and the table, for notebooks."""
-        png = base64.b64encode(self._repr_png_()).decode()
-        return f'<img src="data:image/png;base64,{png}"><pre>{html.escape(str(self))}</pre>'
+        return f'<img src="{address(self._repr_png_())}"><pre>{html.escape(str(self))}</pre>'
 
 
 def difference_picture(image: Any, reference: Any, scale: float) -> Bytes:
@@ -57,3 +57,24 @@ def difference_picture(image: Any, reference: Any, scale: float) -> Bytes:
     away = np.clip(np.abs(signed), 0, 1)[..., None]
     hue = np.where(signed[..., None] > 0, np.array([178.0, 24, 43]), np.array([33.0, 102, 172]))
     return np.asarray(np.rint(255 + (hue - 255) * away), np.uint8)
+
+
+def address(png: bytes) -> str:
+    """A PNG as an address that has it all, for pages that need no other file."""
+    return "data:image/png;base64," + base64.b64encode(png).decode("ascii")
+
+
+def read_beside(module: str, name: str) -> str:
+    """Read a text file in the folder of a module, given by its ``__file__``."""
+    return Path(module).with_name(name).read_text(encoding="utf-8")
+
+
+def document(title: str, style: str, parts: Iterable[str], end: str) -> str:
+    """A page of HTML: its title, its style, the parts of its body that aren't empty, and what follows them."""
+    return (
+        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<link rel="icon" href="data:,">\n'
+        f'<meta name="viewport" content="width=device-width, initial-scale=1">\n<title>{title}</title>\n'
+        f"<style>\n{style}</style>\n</head>\n<body>\n<main>\n"
+        + "\n".join(part for part in parts if part)
+        + f"\n</main>\n{end}\n</body>\n</html>\n"
+    )

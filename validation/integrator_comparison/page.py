@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import base64
 import io
 import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,6 +19,7 @@ from djpt.images.image import Image
 from djpt.images.srgb import to_srgb8
 from djpt.jit.backends import variant
 from djpt.validation.integrator_comparison.measure import Ladder, Measured
+from djpt.validation.report import address, document, read_beside
 
 __all__ = ["ERROR_COLORS", "Curve", "address", "chart", "error_map", "html", "plain", "shown"]
 
@@ -43,30 +42,9 @@ def html(ladder: Ladder) -> str:
         refused(ladder),
         method(ladder),
     ]
-    return (
-        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{name}: a ladder of algorithms</title>\n"
-        f"<style>\n{beside('page.css')}{''.join(hues)}</style>\n</head>\n<body>\n<main>\n"
-        + "\n".join(part for part in sections if part)
-        + f"\n</main>\n{DIALOG}\n<script>\n{beside('compare.js')}</script>\n</body>\n</html>\n"
-    )
-
-
-def beside(name: str) -> str:
-    """Read a file in this folder."""
-    return (Path(__file__).parent / name).read_text(encoding="utf-8")
-
-
-DIALOG = """<dialog id="compare" aria-label="Comparison of two pictures">
-<header><strong></strong><button value="previous" aria-label="Previous">←</button>
-<button value="next" aria-label="Next">→</button>
-<form method="dialog"><button>Close</button></form></header>
-<div class="stack"></div>
-<input type="range" min="0" max="100" value="50" step="0.5" aria-label="Where one picture ends and the other begins">
-<div class="choice"><span class="note">On the right:</span><button value="reference">reference</button>
-<button value="errors">error</button></div>
-</dialog>"""
+    style = read_beside(__file__, "page.css") + hues
+    end = f"{read_beside(__file__, 'dialog.html')}<script>\n{read_beside(__file__, 'compare.js')}</script>"
+    return document(f"{name}: a ladder of algorithms", style, sections, end)
 
 
 def heading(ladder: Ladder) -> str:
@@ -88,7 +66,7 @@ def pictures(ladder: Ladder) -> str:
     reference, name = ladder.reference, escape(ladder.name)
     cards = [
         "<figure>"
-        f'<img id="reference" src="{address(shown(reference.image))}" alt="{name}, the reference">'
+        f'<img id="reference" src="{png_address(shown(reference.image))}" alt="{name}, the reference">'
         f'<figcaption><strong>reference</strong><span class="numbers">{plain(reference.spp)} spp</span>'
         f"<span>{escape(reference.title)}, other seeds.</span>{leaves_out(reference.missing)}"
         f"{remarks(reference.notes)}</figcaption></figure>"
@@ -96,7 +74,7 @@ def pictures(ladder: Ladder) -> str:
     for i, found in enumerate(ladder.measured):
         title = escape(found.step.title)
         alt = f"{name} by {title}, {found.last.spp} samples per pixel"
-        picture = f'<img src="{address(shown(found.image))}" alt="{alt}" data-step="{i}" data-title="{title}">'
+        picture = f'<img src="{png_address(shown(found.image))}" alt="{alt}" data-step="{i}" data-title="{title}">'
         numbers = f"{plain(found.last.spp)} spp, RMSE {decimals(found.last.rmse)}"
         cards.append(
             f'<figure><button aria-label="Compare {title} with the reference">{picture}</button>'
@@ -130,11 +108,11 @@ def maps(ladder: Ladder) -> str:
     for i, (found, error) in enumerate(zip(ladder.measured, errors, strict=True)):
         title = escape(found.step.title)
         alt = f"Errors of {title}: RMSE {decimals(found.last.rmse)}"
-        picture = f'<img id="errors-{i}" src="{address(error_map(error, low, high))}" alt="{alt}">'
+        picture = f'<img id="errors-{i}" src="{png_address(error_map(error, low, high))}" alt="{alt}">'
         numbers = f'<span class="numbers">RMSE {decimals(found.last.rmse)}</span>'
         cards.append(f"<figure>{picture}<figcaption><strong>{title}</strong>{numbers}</figcaption></figure>")
     ticks = "".join(f"<span>{plain(10.0**k)}</span>" for k in range(low, high + 1))
-    bar = f'<img src="{address(ERROR_COLORS[None])}" alt="Colours of errors from 1e{low} to 1e{high}">'
+    bar = f'<img src="{png_address(ERROR_COLORS[None])}" alt="Colours of errors from 1e{low} to 1e{high}">'
     return (
         '<section id="errors">\n<h2>Errors per pixel</h2>\n'
         '<p class="note">Root mean square over the colour channels, in units of radiance. One scale for all.</p>\n'
@@ -476,16 +454,16 @@ ERROR_COLORS = error_colors()
 """The colours of `error_map`, from small to large errors."""
 
 
-def shown(image: Pixels) -> Bytes:
-    """Convert linear light to bytes of sRGB, (H, W, 1 or 3)."""
-    return Image(image.astype(np.float32)).srgb()
-
-
-def address(pixels: Bytes) -> str:
+def png_address(pixels: Bytes) -> str:
     """Encode bytes of sRGB as a PNG in a `data:` address."""
     stream = io.BytesIO()
     encode_png(stream, pixels)
-    return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode("ascii")
+    return address(stream.getvalue())
+
+
+def shown(image: Pixels) -> Bytes:
+    """Convert linear light to bytes of sRGB, (H, W, 1 or 3)."""
+    return Image(image.astype(np.float32)).srgb()
 
 
 def pixel_errors(image: Any, reference: Any) -> Pixels:

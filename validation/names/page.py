@@ -7,25 +7,9 @@ from collections import Counter, defaultdict
 from collections.abc import Iterable
 
 from djpt.validation.names.compare import Finding, Verdict
+from djpt.validation.report import read_beside
 
 __all__ = ["counts", "read_names", "render_page", "share"]
-
-HEAD = """# Mitsuba's names
-
-A script written for Mitsuba 3.9.1 runs in djpt after changing its import to `import djpt as mi`, if djpt has the names
-that it uses. `python -m djpt.validation.names --write` generated this page: it walks the public names of the installed
-Mitsuba in its variant `llvm_ad_rgb`, that is functions, classes, methods, attributes, members of enumerations and
-constants, and compares each with djpt's.
-
-* *Here*: present, and every call that Mitsuba's signature allows is accepted, by position and by name; numbers of
-  enumerations and constants are equal.
-* *Different*: present, but some call that Mitsuba accepts is refused, or a value differs.
-* *Left out*: omitted on purpose, with the reason.
-* *Absent*: missing.
-
-Only names and signatures are compared here; other tests compare results. Operators aren't counted, and inherited names
-count once, at their base.
-"""
 
 HERE = "## Here"
 LINE = re.compile(r"^\* `([\w.]+)`: (.*)$")
@@ -45,7 +29,7 @@ def share(number: Counter[Verdict]) -> float:
 def render_page(found: list[Finding]) -> str:
     """The page in Markdown."""
     different = [f"* `{f.name.path}`: {f.note}" for f in found if f.verdict is Verdict.DIFFERENT]
-    lines = [HEAD, *summary(found), *exclusions(found), "## Different", "", *different, ""]
+    lines = [read_beside(__file__, "head.txt"), *summary(found), *exclusions(found), "## Different", "", *different, ""]
     lines += ["## Absent", "", *by_owner(found, Verdict.ABSENT), "", HERE, "", *by_owner(found, Verdict.HERE)]
     return "\n".join(lines) + "\n"
 

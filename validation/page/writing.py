@@ -9,7 +9,6 @@ import os
 import zlib
 from collections.abc import Mapping, Sequence
 from html import escape
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,6 +18,7 @@ from djpt.core.files import as_path, check_target, writing
 from djpt.errors import BackendError, FileError
 from djpt.validation.metrics import MEASURES, colours
 from djpt.validation.references import machine, versions
+from djpt.validation.report import document, read_beside
 
 if TYPE_CHECKING:
     from djpt.validation.comparison import Comparison
@@ -49,25 +49,17 @@ def html(result: Comparison) -> str:
     parts = [
         f"<header><h1>{name}</h1><p class={'good' if result.passed else 'bad'}>{escape(result.verdict)}</p></header>",
         failures(result),
-        (Path(__file__).parent / "panels.html").read_text(encoding="utf-8"),
+        read_beside(__file__, "panels.html"),
         table(result),
         histograms(result),
         origin(result),
     ]
-    return (
-        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<link rel="icon" href="data:,">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{name}: {escape(result.titles[0])} and {escape(result.titles[1])}</title>\n"
-        f"<style>\n{beside('page.css')}</style>\n</head>\n<body>\n<main>\n"
-        + "\n".join(part for part in parts if part)
-        + f'\n</main>\n<script type="application/json" id="data">{data(result, flip)}</script>\n'
-        f"<script>\n{beside('page.js')}</script>\n</body>\n</html>\n"
+    end = (
+        f'<script type="application/json" id="data">{data(result, flip)}</script>\n'
+        f"<script>\n{read_beside(__file__, 'page.js')}</script>"
     )
-
-
-def beside(name: str) -> str:
-    """Read a file in this folder."""
-    return (Path(__file__).parent / name).read_text(encoding="utf-8")
+    title = f"{name}: {escape(result.titles[0])} and {escape(result.titles[1])}"
+    return document(title, read_beside(__file__, "page.css"), parts, end)
 
 
 def flip_of(result: Comparison) -> np.ndarray[Any, Any] | None:
