@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from djpt.scenes.light_paths import lamp_behind_pane as lamp_behind_pane
     from djpt.scenes.light_paths import lamp_in_glass as lamp_in_glass
     from djpt.scenes.light_paths import parabolic_mirror as parabolic_mirror
-    from djpt.scenes.stages import sky as sky
-    from djpt.scenes.stages import stage as stage
+    from djpt.scenes.light_paths import sky as sky
+    from djpt.scenes.light_paths import stage as stage
 else:
     __getattr__, __dir__, __all__ = lazily(__name__)

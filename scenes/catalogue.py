@@ -7,8 +7,15 @@ from typing import Any
 
 from djpt.scenes.cornell import cornell_box, cornell_box_boxfilter, cornell_box_spheres, furnace
 from djpt.scenes.gallery import shader_ball
-from djpt.scenes.light_paths import door_ajar, fixture, glass_ball, lamp_behind_pane, lamp_in_glass, parabolic_mirror
-from djpt.scenes.stages import stage
+from djpt.scenes.light_paths import (
+    door_ajar,
+    fixture,
+    glass_ball,
+    lamp_behind_pane,
+    lamp_in_glass,
+    parabolic_mirror,
+    stage,
+)
 
 __all__ = ["SCENES"]
 

@@ -19,8 +19,8 @@ from djpt.core.records.interactions import MediumInteraction3f
 from djpt.description.loader import load_dict, load_string
 from djpt.errors import ArgumentError, DjptError
 from djpt.jit.types import PCG32, Bool, Float, Point2f, UInt32, UInt64, Vector2f, Vector3f, backend
+from djpt.mitsuba.fresnel import MicrofacetDistribution
 from djpt.mitsuba.math import chi2, rlgamma
-from djpt.mitsuba.microfacet import MicrofacetDistribution
 from djpt.samplers.hashing import sample_tea_32
 
 __all__ = [

@@ -14,8 +14,7 @@ from djpt.core.frame import coordinate_system
 from djpt.core.numeric import as_number
 from djpt.core.records import DirectionSample3f, Ray3f
 from djpt.core.transforms import ScalarTransform4f, as_transform
-from djpt.description.endpoint import Endpoint
-from djpt.description.plugin import NotMovable, TraversalCallback
+from djpt.description.plugin import Endpoint, NotMovable, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import lookup, registered
 from djpt.errors import ParameterError, RenderError, SceneError, near_miss

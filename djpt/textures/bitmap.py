@@ -29,7 +29,7 @@ from djpt.textures.uv import UVTexture
 if TYPE_CHECKING:
     from djpt.textures.uv import UVTexture
 
-__all__ = ["Bitmap", "cell_weights"]
+__all__ = ["Bitmap"]
 
 MAX_CELLS = 2048
 """The largest number of cells along an axis."""

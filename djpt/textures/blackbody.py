@@ -13,7 +13,7 @@ from djpt.description.properties import Allowed, Properties
 from djpt.description.registry import register_texture
 from djpt.errors import ParameterError, SceneError
 from djpt.images.colorimetry import LONGEST, SHORTEST
-from djpt.textures.tabulated import Pairs, TabulatedSpectrum, pairs_of
+from djpt.textures.spectrum import Pairs, TabulatedSpectrum, pairs_of
 
 __all__ = ["BlackBody"]
 

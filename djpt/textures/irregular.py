@@ -13,7 +13,7 @@ from djpt.description.properties import Properties
 from djpt.description.registry import register_texture
 from djpt.errors import ParameterError, SceneError
 from djpt.jit.types import Float
-from djpt.textures.tabulated import TabulatedSpectrum, list_of_numbers, nested_pairs, pairs_of
+from djpt.textures.spectrum import TabulatedSpectrum, list_of_numbers, nested_pairs, pairs_of
 
 __all__ = ["IrregularSpectrum"]
 

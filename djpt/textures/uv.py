@@ -17,7 +17,7 @@ from djpt.jit.kernels import as_vector
 from djpt.jit.types import Float, Point2f, Vector2f, Vector3f
 from djpt.textures.base import Texture
 
-__all__ = ["UVTexture", "as_uv_transform"]
+__all__ = ["UVTexture"]
 
 
 class UVTexture(Texture):

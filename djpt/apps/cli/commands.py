@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from djpt.apps.cli.animation import turntable as turntable
     from djpt.apps.cli.compare import command as compare
     from djpt.apps.cli.doctor import command as doctor
-    from djpt.apps.cli.gallery import command as gallery
     from djpt.apps.cli.gradcheck import command as gradcheck
     from djpt.apps.cli.info import info as info
     from djpt.apps.cli.info import scenes as scenes
@@ -23,6 +22,7 @@ if TYPE_CHECKING:
     from djpt.apps.cli.pictures import tonemap as tonemap
     from djpt.apps.cli.render import command as render
     from djpt.apps.cli.strips import bounces as bounces
+    from djpt.apps.cli.strips import gallery as gallery
     from djpt.apps.cli.strips import spp as spp
     from djpt.apps.cli.strips import strategies as strategies
     from djpt.apps.cli.validate import command as validate

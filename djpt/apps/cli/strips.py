@@ -1,4 +1,4 @@
-"""The commands ``djpt bounces``, ``djpt spp`` and ``djpt strategies``, which write strips of pictures."""
+"""The commands ``djpt bounces``, ``spp``, ``strategies`` and ``gallery``, which write pictures side by side."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from typing import Any
 import click
 
 from djpt.apps.cli import options
-from djpt.apps.cli.console import Command, number_or_word, parameters, require_positive, say
+from djpt.apps.cli.console import Command, announce, number_or_word, parameters, require_positive, say
 from djpt.errors import RenderError
-from djpt.rendering.progress import progress_bar
+from djpt.rendering.progress import has_terminal, progress_bar
 
-__all__ = ["bounces", "spp", "strategies"]
+__all__ = ["bounces", "gallery", "spp", "strategies"]
 
 
 @click.command("bounces", cls=Command, epilog=options.SCENE)
@@ -87,6 +87,33 @@ def strategies(max_depth: int, spp: int, exposure: str, **chosen: Any) -> None:
     write(strips.pyramid, (max_depth, spp), {"exposure": number_or_word(exposure)}, **chosen)
 
 
+@click.command("gallery", cls=Command)
+@click.argument("names", metavar="[NAME]..", nargs=-1)
+@options.output("Picture, png or jpg.", "gallery.png")
+@click.option("--spp", type=int, default=512, help="Samples per pixel.")
+@click.option("--size", type=int, default=200, help="Width and height of a panel in pixels.")
+@options.seed
+@options.quiet
+def gallery(names: tuple[str, ...], output: Path, spp: int, size: int, seed: int, quiet: bool) -> None:
+    """Render a ball of each material, side by side.
+
+    NAMEs select panels. Default: all of them.
+    """
+    import djpt
+    from djpt.scenes.gallery import panels, sheet
+
+    require_positive(spp=spp, size=size)
+    check_labelled(output, "a gallery")
+    chosen = panels(names)
+    start = time.perf_counter()
+    begin = None if quiet or has_terminal() else announce
+    with progress_bar("rendering", "samples", quiet) as progress:
+        djpt.write(output, sheet(chosen, size, spp, seed, progress=progress, begin=begin))
+    if not quiet:
+        seconds = time.perf_counter() - start
+        say(f"{output}: {len(chosen)} panels of {size} x {size}, {spp} spp, {seconds:.2f} s")
+
+
 def write(
     rendered: Callable[..., Any],
     counts: tuple[int, ...],
@@ -108,15 +135,11 @@ def write(
         FileError: it can't be written.
     """
     import djpt
-    from djpt.images.formats import DISPLAY_FORMATS
-    from djpt.images.image import check_writable
     from djpt.images.sheets import captioned_rows, captioned_sheet
     from djpt.scenes.overrides import described
 
     require_positive(size=size)
-    check_writable(output)
-    if output.suffix.lower() not in DISPLAY_FORMATS:
-        raise RenderError(f"a strip has labels, so it is written as png or jpg, found '{output}'")
+    check_labelled(output, "a strip")
     description = described(scene, parameters(define))[1]
     start = time.perf_counter()
     with progress_bar("rendering", unit, quiet) as progress:
@@ -127,3 +150,13 @@ def write(
         shown = [tile for row in tiles for tile in row] if in_rows else tiles
         height, width, _ = shown[0].picture.shape
         say(f"{output}: {len(shown)} pictures of {width} x {height}, {time.perf_counter() - start:.2f} s")
+
+
+def check_labelled(target: Path, what: str) -> None:
+    """Raise `RenderError` unless a file is a picture for displays, and `FileError` unless it can be written."""
+    from djpt.images.formats import DISPLAY_FORMATS
+    from djpt.images.image import check_writable
+
+    check_writable(target)
+    if target.suffix.lower() not in DISPLAY_FORMATS:
+        raise RenderError(f"{what} has labels, so it is written as png or jpg, found '{target}'")

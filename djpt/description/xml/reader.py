@@ -13,8 +13,7 @@ from djpt.core.limits import MAX_FILES, MAX_INCLUDES, MAX_NODES
 from djpt.description.files import FileResolver, file_resolver
 from djpt.description.registry import kind_of, mitsuba_kind_of, unknown
 from djpt.description.xml import source
-from djpt.description.xml.source import Element, Entry, Node, Reference
-from djpt.description.xml.values import VALUES, check_attributes, spectrum_file
+from djpt.description.xml.source import VALUES, Element, Entry, Node, Reference, check_attributes, spectrum_file
 from djpt.errors import FileError, SceneError, near_miss
 
 __all__ = ["LONGEST", "OBJECTS", "Parameters", "Reader", "Version", "upgrade_name"]

@@ -8,8 +8,7 @@ import numpy as np
 
 from djpt.core.transforms import ScalarTransform4f
 from djpt.core.transforms.base import rotation
-from djpt.description.xml.source import Element
-from djpt.description.xml.values import check_attributes, number, numbers, vector
+from djpt.description.xml.source import Element, check_attributes, number, numbers, vector
 from djpt.errors import SceneError, near_miss
 
 __all__ = ["transform"]
