@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import drjit as dr
 import numpy as np
 import numpy.typing as npt
 
-from djpt.errors import ParameterError, RenderError, near_miss
+from djpt.errors import DjptError, ParameterError, RenderError, near_miss
 
 __all__ = ["LOSSES", "PRIORS", "RESIDUALS", "Loss", "Prior", "curvature_of", "loss_of", "prior_of", "residual_of"]
 
@@ -66,17 +66,19 @@ RESIDUALS: dict[str, Loss] = {"l2": difference, "relative": share, "log": ratio}
 """The residuals, pixel by pixel, of the losses that are means of squares."""
 
 
-def loss_of(loss: str | Loss) -> Loss:
-    """A loss by its name, or the function itself.
+def by_name(what: str, given: str | Loss, known: Mapping[str, Any], error: type[DjptError]) -> Any:
+    """The function of a name, or the function itself; raises the `error` for a name that isn't `known`."""
+    if callable(given):
+        return given
+    if given not in known:
+        raise error(f"unknown {what} '{given}'{near_miss(str(given), known)}")
+    return known[given]
 
-    Raises:
-        RenderError: The name is unknown.
-    """
-    if callable(loss):
-        return loss
-    if loss not in LOSSES:
-        raise RenderError(f"unknown loss '{loss}'{near_miss(str(loss), LOSSES)}")
-    return LOSSES[loss]
+
+def loss_of(loss: str | Loss) -> Loss:
+    """A loss by its name, or the function itself; raises `RenderError` if the name is unknown."""
+    found: Loss = by_name("loss", loss, LOSSES, RenderError)
+    return found
 
 
 def residual_of(loss: str | Loss) -> Loss:
@@ -158,16 +160,9 @@ BENDS = {"smooth": smooth_bend, "tv": tv_bend}
 
 
 def prior_of(prior: str | Prior) -> Prior:
-    """A prior by its name, or the function itself.
-
-    Raises:
-        ParameterError: The name is unknown.
-    """
-    if callable(prior):
-        return prior
-    if prior not in PRIORS:
-        raise ParameterError(f"unknown prior '{prior}'{near_miss(str(prior), PRIORS)}")
-    return PRIORS[prior]
+    """A prior by its name, or the function itself; raises `ParameterError` if the name is unknown."""
+    found: Prior = by_name("prior", prior, PRIORS, ParameterError)
+    return found
 
 
 def curvature_of(prior: str | Prior) -> Callable[[Doubles], Doubles]:

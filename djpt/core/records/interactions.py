@@ -10,7 +10,16 @@ import drjit as dr
 
 from djpt.core.frame import Frame3f
 from djpt.core.records.rays import Ray3f
-from djpt.core.records.record import Record, SceneRef, latest_scene_ref, no_wavelengths, only, scene_of
+from djpt.core.records.record import (
+    Record,
+    SceneRef,
+    assignable,
+    latest_scene_ref,
+    no_wavelengths,
+    only,
+    optional,
+    scene_of,
+)
 from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, UInt32, Vector2f, Vector3f
 
 __all__ = [
@@ -132,20 +141,14 @@ class Instanced(Record):
     """The index of the instance into ``scene.shapes()``; nothing in scenes without instances: see `instance`."""
     scene_ref: SceneRef
 
-    @property
-    def instance(self) -> Any:
+    instance = assignable(
+        "instance",
+        lambda self: scene_of(self).instance_at(self) if self.scene_ref else None,
         """The instance that was hit, a `djpt.ShapePtr`, null on other shapes; or what was assigned.
 
         None in a record that belongs to no scene. Known where a script asks a scene for the hit.
-        """
-        if "_instance" in self.__dict__:
-            return self.__dict__["_instance"]
-        return scene_of(self).instance_at(self) if self.scene_ref else None
-
-    @instance.setter
-    def instance(self, instance: Any) -> None:
-        # Dr.Jit's operations don't carry it along.
-        self.__dict__["_instance"] = instance
+        """,
+    )
 
 
 # ---- points on surfaces ----------------------------------------------------------------------
@@ -238,15 +241,11 @@ class PreliminaryIntersection3f(Instanced):
         """The hit in the coordinates of the search for triangles: see `djpt.geometry.query.Near`; else None."""
         return only(self.nearby)
 
-    @property
-    def shape(self) -> Any:
-        """The shape that was hit, a `djpt.shapes.pointer.ShapePtr`, null on a miss; or what was assigned."""
-        return self.__dict__["_shape"] if "_shape" in self.__dict__ else scene_of(self).shape_at(self)
-
-    @shape.setter
-    def shape(self, shape: Any) -> None:
-        # Dr.Jit's operations don't carry it along.
-        self.__dict__["_shape"] = shape
+    shape = assignable(
+        "shape",
+        lambda self: scene_of(self).shape_at(self),
+        "The shape that was hit, a `djpt.shapes.pointer.ShapePtr`, null on a miss; or what was assigned.",
+    )
 
     @property
     def valid(self) -> Bool:
@@ -327,31 +326,18 @@ class SurfaceInteraction3f(Interaction3f, Instanced):
     def scene(self, scene: SceneView) -> None:
         self.scene_ref = {scene: ()}
 
-    @property
-    def medium(self) -> UInt32 | None:
-        """The medium of the ray that arrived; None in scenes without media."""
-        return only(self.media)
-
-    @medium.setter
-    def medium(self, medium: UInt32 | None) -> None:
-        self.media = () if medium is None else (medium,)
+    medium = optional("media", "The medium of the ray that arrived; None in scenes without media.")
 
     @property
     def valid(self) -> Bool:
         """True where the ray hit a surface."""
         return self.is_valid()
 
-    @property
-    def shape(self) -> Any:
-        """The shape, a `djpt.shapes.pointer.ShapePtr`, null on a miss; or what was assigned."""
-        if "_shape" in self.__dict__:
-            return self.__dict__["_shape"]
-        return scene_of(self).shape_at(self) if self.scene_ref else None
-
-    @shape.setter
-    def shape(self, shape: Any) -> None:
-        # Dr.Jit's operations don't carry it along.
-        self.__dict__["_shape"] = shape
+    shape = assignable(
+        "shape",
+        lambda self: scene_of(self).shape_at(self) if self.scene_ref else None,
+        "The shape, a `djpt.shapes.pointer.ShapePtr`, null on a miss; or what was assigned.",
+    )
 
     def shown(self) -> Sequence[str]:
         left_out = ("prim_uv", "shape_index", "face")
@@ -487,14 +473,9 @@ class MediumInteraction3f(Interaction3f):
     def default(self, name: str) -> Any:
         return Frame3f.from_normal(self.wi) if name == "sh_frame" else super().default(name)
 
-    @property
-    def medium(self) -> Any:
-        """The medium, a `djpt.media.pointer.MediumPtr`; None in a record that no medium has made."""
-        return only(self.pointers)
-
-    @medium.setter
-    def medium(self, medium: Any) -> None:
-        self.pointers = () if medium is None else (medium,)
+    medium = optional(
+        "pointers", "The medium, a `djpt.media.pointer.MediumPtr`; None in a record that no medium has made."
+    )
 
     def to_local(self, v: Vector3f) -> Vector3f:
         """World direction to `sh_frame`."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import drjit as dr
 import drjit.scalar as scalar
 
-from djpt.core.records.record import Record, no_wavelengths
+from djpt.core.records.record import Record, no_wavelengths, optional
 from djpt.jit.types import Float, Float64, Point2f, Point3f, UInt32, Vector2f, Vector3f, backend
 
 if TYPE_CHECKING:
@@ -90,14 +90,9 @@ class Ray3f(Record):
     def shown(self) -> Sequence[str]:
         return "o", "d", "maxt", "time", "wavelengths"
 
-    @property
-    def medium(self) -> UInt32 | None:
-        """The number of the medium that the ray runs through: see `djpt.media`. None in scenes without media."""
-        return self.media[0] if self.media else None
-
-    @medium.setter
-    def medium(self, medium: UInt32 | None) -> None:
-        self.media = () if medium is None else (medium,)
+    medium = optional(
+        "media", "The number of the medium that the ray runs through: see `djpt.media`. None in scenes without media."
+    )
 
     @property
     def time(self) -> Float:

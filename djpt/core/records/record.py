@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import weakref
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, get_origin, get_type_hints
 
 import drjit as dr
@@ -12,7 +12,18 @@ import drjit as dr
 from djpt.errors import RenderError
 from djpt.jit.types import backend
 
-__all__ = ["Record", "SceneRef", "Wavelengths", "latest_scene_ref", "no_wavelengths", "note_latest", "only", "scene_of"]
+__all__ = [
+    "Record",
+    "SceneRef",
+    "Wavelengths",
+    "assignable",
+    "latest_scene_ref",
+    "no_wavelengths",
+    "note_latest",
+    "only",
+    "optional",
+    "scene_of",
+]
 
 Wavelengths = backend.Array0f
 """The wavelengths of a record: none, since light is RGB."""
@@ -179,3 +190,28 @@ def scene_of(record: Any) -> Any:
 def only(entries: tuple[Any, ...]) -> Any:
     """The entry of a field that may be missing, or None."""
     return entries[0] if entries else None
+
+
+def optional(entries: str, doc: str) -> Any:
+    """A property for the entry of a field that may be missing: None if the tuple `entries` is empty."""
+
+    def get(self: Any) -> Any:
+        return only(getattr(self, entries))
+
+    def set_(self: Any, value: Any) -> None:
+        setattr(self, entries, () if value is None else (value,))
+
+    return property(get, set_, doc=doc)
+
+
+def assignable(name: str, find: Callable[[Any], Any], doc: str) -> Any:
+    """A property that is found out unless it was assigned; what was assigned Dr.Jit's operations don't carry along."""
+    key = f"_{name}"
+
+    def get(self: Any) -> Any:
+        return self.__dict__[key] if key in self.__dict__ else find(self)
+
+    def set_(self: Any, value: Any) -> None:
+        self.__dict__[key] = value
+
+    return property(get, set_, doc=doc)
