@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from djpt.core.bounding_box import ScalarBoundingSphere3f as ScalarBoundingSphere3f
     from djpt.core.frame import Frame3f as Frame3f
     from djpt.core.frame import coordinate_system as coordinate_system
-    from djpt.core.process import Terminated as Terminated
+    from djpt.core.interruption import Terminated as Terminated
     from djpt.core.records import BSDFContext as BSDFContext
     from djpt.core.records import BSDFFlags as BSDFFlags
     from djpt.core.records import BSDFSample3f as BSDFSample3f

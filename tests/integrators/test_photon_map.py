@@ -9,7 +9,7 @@ import drjit as dr
 import numpy as np
 import pytest
 
-from djpt.core import process
+from djpt.core import memory
 from djpt.errors import RenderError
 from djpt.integrators.photons import Photon, PhotonMap, PhotonStore, directions, photon
 from djpt.integrators.photons.map import (
@@ -184,9 +184,9 @@ def test_what_memory_does_not_hold_is_refused(weighted: bool, monkeypatch: pytes
     with pytest.raises(RenderError, match=problem.format("(takes about|has more than)")):
         PhotonStore("caustics", 2**28, weighted)
     paths = 2**20
-    needed = bytes_of(paths, weighted) + process.RESERVE
-    monkeypatch.setattr(process, "free_memory", lambda: needed - 1)
+    needed = bytes_of(paths, weighted) + memory.RESERVE
+    monkeypatch.setattr(memory, "free_memory", lambda: needed - 1)
     with pytest.raises(RenderError, match=problem.format("takes about")):
         PhotonStore("caustics", paths, weighted)
-    monkeypatch.setattr(process, "free_memory", lambda: needed)
+    monkeypatch.setattr(memory, "free_memory", lambda: needed)
     PhotonStore("caustics", paths, weighted)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.core import process
+from djpt.core import memory
 from djpt.core.transforms import ScalarTransform4f as T
 from djpt.errors import RenderError, SceneError
 from djpt.integrators.photons import photon
@@ -293,6 +293,6 @@ def test_what_is_refused(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(RuntimeError) as found:
         dr.freeze(lambda: djpt.render(scene, integrator=djpt.load_dict({"type": kind}), spp=1))()
     assert "dr.freeze can't record photon maps" in str(found.value.__cause__)
-    monkeypatch.setattr(process, "free_memory", lambda: 2**30)
+    monkeypatch.setattr(memory, "free_memory", lambda: 2**30)
     with pytest.raises(RenderError, match=r"photons of 40000000 light paths takes about .*lower 'photon_count'"):
         image(scene, kind, 1, photon_count=40_000_000)

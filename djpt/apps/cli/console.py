@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 from djpt.core.files import reason
-from djpt.core.process import Terminated
+from djpt.core.interruption import Terminated
 from djpt.core.terminal import visible
 from djpt.errors import BackendError, DjptError, RenderError, SceneError
 

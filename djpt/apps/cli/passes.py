@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from djpt.apps.cli.console import announce
 from djpt.core.files import check_target, reason
-from djpt.core.process import Interruption, interruptible
+from djpt.core.interruption import Interruption, interruptible
 from djpt.core.terminal import beneath, visible
 from djpt.errors import BackendError, FileError, RenderError
 from djpt.rendering.progress import has_terminal, short

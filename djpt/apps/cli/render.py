@@ -13,7 +13,7 @@ import djpt
 from djpt.apps.cli import options
 from djpt.apps.cli.console import Command, parameters, require_positive, say
 from djpt.core.files import require_different
-from djpt.core.process import ending_at_once
+from djpt.core.interruption import ending_at_once
 from djpt.errors import RenderError
 from djpt.rendering.progress import progress_bar, short
 

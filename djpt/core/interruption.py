@@ -1,4 +1,4 @@
-"""The process: signals that end a long render, after the pass at hand and in order; and the memory that is left.
+"""Signals that end a long render: after the pass at hand, with everything in order.
 
 A first SIGINT (Ctrl-C) or SIGTERM is noted; the pass that is being computed ends, what exists is kept if that was asked
 for, temporary files are removed, and then `KeyboardInterrupt` or `Terminated` is raised. A second SIGINT ends at once.
@@ -13,27 +13,12 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import suppress
-from pathlib import Path
 from types import FrameType
 from typing import Any, NoReturn
 
-import drjit as dr
-
 from djpt.core.files import remove_unfinished
-from djpt.jit.types import Float
 
-__all__ = [
-    "RESERVE",
-    "Interruption",
-    "Terminated",
-    "end_at_once",
-    "ending_at_once",
-    "free_memory",
-    "interruptible",
-    "noticing",
-    "shortage",
-]
+__all__ = ["Interruption", "Terminated", "end_at_once", "ending_at_once", "interruptible", "noticing"]
 
 
 class Terminated(SystemExit):
@@ -186,59 +171,3 @@ def end_at_once() -> NoReturn:
 def noticing(keep_partial: bool) -> contextlib.AbstractContextManager[Interruption | None]:
     """Notice signals if something is to be kept then; otherwise they do what they do to any script."""
     return interruptible(keeps=True) if keep_partial else contextlib.nullcontext()
-
-
-# ---- memory ----------------------------------------------------------------------------------
-
-
-RESERVE = 2**29
-"""Bytes for kernels and for all else that isn't estimated."""
-
-SMALL = RESERVE + 2**26
-"""Bytes that are there without asking."""
-
-
-def shortage(needed: int) -> str | None:
-    """The missing memory, for a message, if `needed` bytes are more than is free; None if they are there."""
-    if needed <= SMALL:
-        return None
-    free = free_memory()
-    if free is None or needed <= free:
-        return None
-    return f"takes about {gibibytes(needed)}; {gibibytes(free)} are free"
-
-
-def gibibytes(count: int) -> str:
-    """A number of bytes for messages."""
-    return f"{count / 2**30:.1f} GiB"
-
-
-def free_memory() -> int | None:
-    """The bytes that this process can still take, as far as the system says so; None where it doesn't.
-
-    The least of what the machine has, what the process's group may take (Linux's control groups) and what its
-    addresses reach (`ulimit -v`).
-    """
-    if dr.backend_v(Float) != dr.JitBackend.LLVM:
-        return None  # Dr.Jit asks the device by itself, and raises an error
-    return min((max(0, free) for free in limits()), default=None)
-
-
-def limits() -> Iterator[int]:
-    """The bytes that each of the limits leaves."""
-    with suppress(OSError, ValueError, KeyError):
-        meminfo = dict(line.split(":", 1) for line in Path("/proc/meminfo").read_text().splitlines())
-        yield int(meminfo["MemAvailable"].split()[0]) * 1024
-    with suppress(OSError, ValueError):
-        group = Path("/sys/fs/cgroup")
-        parts = dict(line.split() for line in (group / "memory.stat").read_text().splitlines())
-        # Cached files give way to what needs memory.
-        taken = int((group / "memory.current").read_text()) - int(parts.get("file", 0))
-        yield int((group / "memory.max").read_text()) - taken
-    if sys.platform == "linux":
-        import resource
-
-        most, _ = resource.getrlimit(resource.RLIMIT_AS)
-        if most != resource.RLIM_INFINITY:
-            taken = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
-            yield most - taken
