@@ -21,15 +21,13 @@ import numpy.typing as npt
 
 from djpt.core.files import errors_of_writing, replacing
 from djpt.images.exr import FILLER, OF_XYZ, ORDER, usual_names
-from djpt.images.formats import FORMATS, Labels, hdr_header, pfm_header, to_rgbe
+from djpt.images.formats import FORMATS, Hdr, Labels, Npy, Opened, Pfm, Shape
 from djpt.images.png16 import COLOR_TYPES, SIGNATURE, SRGB, chunk, text_chunk
-from djpt.images.srgb import strips, to_srgb8
+from djpt.images.srgb import to_srgb8
 
 __all__ = ["ExrRows", "RowFile", "is_streamed", "writing_rows"]
 
 Pixels = npt.NDArray[np.float32]
-Shape = tuple[int, int, int]
-"""Height, width, channels."""
 
 
 class RowFile(Protocol):
@@ -92,20 +90,6 @@ class Guarded:
 # ---- formats -------------------------------------------------------------------------------
 
 
-class Opened:
-    """A file with a header, and rows after it."""
-
-    def __init__(self, path: Path, header: bytes) -> None:
-        self._file = path.open("wb")
-        self._file.write(header)
-
-    def close(self, labels: Labels) -> None:
-        self.release()
-
-    def release(self) -> None:
-        self._file.close()
-
-
 class Exr:
     """OpenEXR, with the attributes that `djpt.write` gives it."""
 
@@ -152,44 +136,6 @@ class Png(Opened):
     def _write(self, packed: bytes) -> None:
         if packed:
             self._file.write(chunk(b"IDAT", packed))
-
-
-class Hdr(Opened):
-    """Radiance RGBE."""
-
-    def __init__(self, path: Path, shape: Shape, labels: Labels) -> None:
-        super().__init__(path, hdr_header(shape[1], shape[0]))
-
-    def add(self, rows: Pixels) -> None:
-        for strip in strips(rows):
-            self._file.write(to_rgbe(rows[strip]).data)
-
-
-class Pfm(Opened):
-    """A portable float map, whose last row comes first."""
-
-    def __init__(self, path: Path, shape: Shape, labels: Labels) -> None:
-        height, width, channels = shape
-        header = pfm_header(width, height, channels)
-        super().__init__(path, header)
-        self._end = len(header) + 4 * width * height * channels
-
-    def add(self, rows: Pixels) -> None:
-        self._end -= rows.nbytes
-        self._file.seek(self._end)
-        self._file.write(np.ascontiguousarray(rows[::-1], "<f4").data)
-
-
-class Npy(Opened):
-    """NumPy's format."""
-
-    def __init__(self, path: Path, shape: Shape, labels: Labels) -> None:
-        super().__init__(path, b"")
-        layout = {"descr": "<f4", "fortran_order": False, "shape": shape}
-        np.lib.format.write_array_header_1_0(self._file, layout)
-
-    def add(self, rows: Pixels) -> None:
-        self._file.write(np.ascontiguousarray(rows, "<f4").data)
 
 
 class Whole:
