@@ -18,7 +18,6 @@ __all__ = [
     "ScalarBoundingBox2f",
     "ScalarBoundingBox3f",
     "ScalarBoundingSphere3f",
-    "as_point",
 ]
 
 

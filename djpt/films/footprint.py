@@ -12,7 +12,7 @@ from djpt.jit.kernels import as_float, while_loop
 from djpt.jit.types import Array4f, Array4i64, Bool, Color3f, Float, Float64, Int64, Point2f, UInt32
 from djpt.rfilters.base import is_wide
 
-__all__ = ["ChangeSplats", "Footprint", "Splats", "SpreadReader", "in_window"]
+__all__ = ["ChangeSplats", "Splats", "SpreadReader", "in_window"]
 
 STEPS = 64
 """Places on a pixel at which filters are looked at to find the fraction of them that lies inside of the film."""

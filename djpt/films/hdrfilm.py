@@ -18,7 +18,7 @@ from djpt.jit.types import Bool, Color3f, Float, TensorXf, UInt32
 if TYPE_CHECKING:
     from djpt.films.image_block import ImageBlock
 
-__all__ = ["CHANNELS", "ROWS", "HDRFilm"]
+__all__ = ["HDRFilm"]
 
 CHANNELS = {
     "rgb": ("R", "G", "B"),

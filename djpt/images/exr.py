@@ -16,17 +16,7 @@ import numpy.typing as npt
 
 from djpt.images.resampling import lanczos, resampled, taps_between
 
-__all__ = [
-    "FILLER",
-    "OF_XYZ",
-    "ORDER",
-    "RESERVED",
-    "Layers",
-    "read_attributes",
-    "read_layers",
-    "usual_names",
-    "write_layers",
-]
+__all__ = ["FILLER", "OF_XYZ", "ORDER", "RESERVED", "read_attributes", "read_layers", "usual_names", "write_layers"]
 
 Pixels = npt.NDArray[Any]
 

@@ -25,7 +25,7 @@ from djpt.images.formats import FORMATS, Hdr, Labels, Npy, Opened, Pfm, Shape
 from djpt.images.png16 import COLOR_TYPES, SIGNATURE, SRGB, chunk, text_chunk
 from djpt.images.srgb import to_srgb8
 
-__all__ = ["ExrRows", "RowFile", "is_streamed", "writing_rows"]
+__all__ = ["is_streamed", "writing_rows"]
 
 Pixels = npt.NDArray[np.float32]
 

@@ -13,7 +13,7 @@ from djpt.description.parameters import SceneParameters
 from djpt.errors import ParameterError, near_miss
 from djpt.jit.types import Float, UInt32
 
-__all__ = ["KINDS", "Variable", "usual_bounds"]
+__all__ = ["Variable", "usual_bounds"]
 
 KINDS = ("sigmoid", "projection", "free")
 """The ways of keeping parameters in bounds."""
