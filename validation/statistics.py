@@ -102,7 +102,7 @@ class Batches:
         deviation = pixels - self._mean
         self._mean = self._mean + deviation / self.count
         self._squares = self._squares + deviation * (pixels - self._mean)
-        self._cells.append(block_means(pixels, self.cell))
+        self._cells.append(added(pixels, self.cell) / block_sizes(pixels.shape, self.cell))
 
     @classmethod
     def restored(cls, mean: Any, variance: Any, cells: Any, block: int = BLOCK) -> Batches:
@@ -212,11 +212,6 @@ def added(image: Array, side: int) -> Array:
     """The sums over blocks, (rows, columns, C)."""
     sums = np.add.reduceat(image, np.arange(0, image.shape[0], side), axis=0)
     return np.asarray(np.add.reduceat(sums, np.arange(0, image.shape[1], side), axis=1))
-
-
-def block_means(image: Array, side: int) -> Array:
-    """The averages over blocks, (rows, columns, C)."""
-    return np.asarray(added(image, side) / block_sizes(image.shape, side))
 
 
 def block_sizes(shape: tuple[int, ...], block: int) -> Array:

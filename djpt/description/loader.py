@@ -250,7 +250,9 @@ class Loader:
                 key = self._own_name(below) if name == "scene" else key
                 parts = value.expand()
                 taken = {*node, *values, *expanded} - {key}
-                named = {key: value} if parts == [value] else named_parts(parts, key, taken)
+                named = {key: value}
+                if parts != [value]:
+                    named = {f"{key}.{i}" if part.id() in taken else part.id(): part for i, part in enumerate(parts)}
                 # Several parts come last, as in Mitsuba.
                 (expanded if len(named) > 1 else values).update(named)
                 if is_description:
@@ -309,11 +311,6 @@ def node_count(node: Mapping[str, Any], known: dict[int, int], depth: int) -> in
         known[id(node)] = 1  # if the node contains itself
         known[id(node)] = 1 + sum(node_count(value, known, depth + 1) for value in nested)
     return known[id(node)]
-
-
-def named_parts(parts: list[Plugin], key: str, taken: set[str]) -> dict[str, Plugin]:
-    """The plugins that stand in the place of a nested one, by name: see `Plugin.expand`."""
-    return {f"{key}.{i}" if part.id() in taken else part.id(): part for i, part in enumerate(parts)}
 
 
 # ---- Mitsuba's XML ---------------------------------------------------------------------------

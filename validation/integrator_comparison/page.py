@@ -436,18 +436,13 @@ LMS_TO_RGB = np.array(
 image processing", 2020."""
 
 
-def oklab_to_srgb(lightness: Pixels, chroma: Pixels, hue: Pixels) -> Bytes:
-    """Convert Oklab in polar coordinates, hue in radians, to bytes of sRGB, (.., 3)."""
-    lab = np.stack([lightness, chroma * np.cos(hue), chroma * np.sin(hue)], axis=-1)
-    linear = (lab @ OKLAB_TO_LMS.T) ** 3 @ LMS_TO_RGB.T
-    return to_srgb8(np.asarray(linear[None], np.float32))[0]
-
-
 def error_colors(count: int = 256) -> Bytes:
     """A scale of black, violet, red, orange, pale yellow, (count, 3), with Oklab's lightness rising evenly."""
     t = np.linspace(0.0, 1.0, count)
-    hue = np.radians(-75 + 180 * t)
-    return oklab_to_srgb(0.1 + 0.87 * t, 0.02 + 0.15 * np.sin(np.pi * t), hue)
+    lightness, chroma, hue = 0.1 + 0.87 * t, 0.02 + 0.15 * np.sin(np.pi * t), np.radians(-75 + 180 * t)
+    lab = np.stack([lightness, chroma * np.cos(hue), chroma * np.sin(hue)], axis=-1)
+    linear = (lab @ OKLAB_TO_LMS.T) ** 3 @ LMS_TO_RGB.T
+    return to_srgb8(np.asarray(linear[None], np.float32))[0]
 
 
 ERROR_COLORS = error_colors()

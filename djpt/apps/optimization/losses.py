@@ -66,7 +66,7 @@ RESIDUALS: dict[str, Loss] = {"l2": difference, "relative": share, "log": ratio}
 """The residuals, pixel by pixel, of the losses that are means of squares."""
 
 
-def by_name(what: str, given: str | Loss, known: Mapping[str, Any], error: type[DjptError]) -> Any:
+def by_name(what: str, given: Any, known: Mapping[str, Any], error: type[DjptError]) -> Any:
     """The function of a name, or the function itself; raises the `error` for a name that isn't `known`."""
     if callable(given):
         return given
