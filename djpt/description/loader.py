@@ -14,7 +14,6 @@ from djpt.description.files import Document, FileResolver, file_resolver, readin
 from djpt.description.plugin import Plugin
 from djpt.description.properties import Merging, Properties
 from djpt.description.registry import kind_of, lookup
-from djpt.description.xml.reading import read_file, read_string
 from djpt.errors import SceneError, near_miss
 
 __all__ = ["Loader", "load_dict", "load_file", "load_string"]
@@ -346,6 +345,8 @@ def load_file(
         FileError: the file can't be read.
         SceneError: the scene is wrong, a parameter is missing or unused; the message names file and line.
     """
+    from djpt.description.xml.reading import read_file  # dicts need no parser
+
     return load_dict(read_file(path, trusted=trusted, root=root, **parameters), parallel, optimize)
 
 
@@ -362,4 +363,6 @@ def load_string(
 
     File names are looked up in the working directory, which is also the default of `root`.
     """
+    from djpt.description.xml.reading import read_string  # dicts need no parser
+
     return load_dict(read_string(value, trusted=trusted, root=root, **parameters), parallel, optimize)

@@ -107,7 +107,8 @@ EXPORTS: dict[str, str] = {
         "set_log_level set_logger"
     ),
     "djpt.mitsuba.objects": "Object ObjectType PluginManager TraversalCallback register_phasefunction",
-    "djpt.sensors.projective": "ProjectiveCamera orthographic_projection parse_fov perspective_projection",
+    "djpt.sensors.projection_matrices": "orthographic_projection parse_fov perspective_projection",
+    "djpt.sensors.projective": "ProjectiveCamera",
     "djpt.mitsuba.random_numbers": (
         "Philox4x32 RadicalInverse ScalarPCG32 permute permute_kensler radical_inverse_2 sample_tea_32 sample_tea_64 "
         "sample_tea_float sample_tea_float32 sample_tea_float64 sobol_2"

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.core.bounding_box import ScalarBoundingBox3f
-from djpt.core.frame import coordinate_system
 from djpt.core.numeric import as_number
 from djpt.core.records import DirectionSample3f, Ray3f
 from djpt.core.transforms import ScalarTransform4f, as_transform
@@ -22,14 +21,11 @@ from djpt.films.base import Film
 from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.samplers.base import Sampler
 from djpt.sensors.mitsuba_api import SampledRays
-from djpt.shapes.axes import AxisPool
-from djpt.shapes.meshes.mesh_set import MeshSet
 
 if TYPE_CHECKING:
     from djpt.description.plugin import Frame
-    from djpt.shapes import Shape
 
-__all__ = ["Sensor", "look_along", "placed_apart", "require_area"]
+__all__ = ["Sensor"]
 
 
 class Sensor(SampledRays, Endpoint):
@@ -68,8 +64,10 @@ class Sensor(SampledRays, Endpoint):
         self._sampler: Sampler = props.child("sampler") or default(props, "sampler", "independent")
         self._medium = props.child("medium")
         self.to_world = props.transform("to_world")
-        with props.naming("to_world"):
+        try:
             self.check_placement(self.to_world)
+        except SceneError as error:
+            raise props.error("to_world", str(error)) from None
         opens = self._shutter_open = props.float("shutter_open", 0.0)
         self._shutter_open_time = props.float("shutter_close", opens) - opens
         if self._shutter_open_time < 0:
@@ -244,37 +242,3 @@ ONE_PIXEL = {"width": 1, "height": 1}
 def default(props: Properties, kind: str, name: str, **entries: Any) -> Any:
     """A nested plugin that the description leaves out, with its own defaults except for `entries`."""
     return lookup(kind, name)(Properties(name, f"{props.node}.{kind}", entries, f"{props.id()}.{kind}"))
-
-
-# ---- sensors that no transform places --------------------------------------------------------
-
-
-def look_along(props: Properties, origin: NDArray[np.float64], upwards: int = 1) -> ScalarTransform4f:
-    """The transform of a sensor at `origin` that looks along the entry `direction`.
-
-    `upwards` says which of the two tangents of `coordinate_system` points up.
-    """
-    direction = props.vector("direction")
-    length = float(np.linalg.norm(direction))
-    if length == 0:
-        raise props.error("direction", "must not be the zero vector")
-    direction = direction / length
-    up = coordinate_system(Vector3f(*direction.tolist()))[upwards]
-    return ScalarTransform4f.look_at(origin=origin, target=origin + direction, up=np.array(up).ravel())
-
-
-def require_area(shape: Shape, sensor: str) -> None:
-    """Raise `SceneError` if no points can be drawn on a shape."""
-    if not shape.has_area:
-        name = type(shape).__name__.lower()
-        raise SceneError(f"{shape.id()}: '{sensor}' samples points by area, but the area of '{name}' is unknown")
-
-
-def placed_apart(shape: Shape) -> Any:
-    """A copy of a shape as it is now, ready to draw points on although no scene may contain it."""
-    # A copy: where a shape was placed last decides which axes its scene intersects it along.
-    result: Any = copy.copy(shape)
-    result.place(AxisPool())
-    if result.of_triangles:
-        MeshSet([result])  # which the mesh joins
-    return result

@@ -15,8 +15,9 @@ from djpt.description.registry import register_sensor
 from djpt.errors import ParameterError, SceneError
 from djpt.jit.kernels import maximum, minimum
 from djpt.jit.types import Bool, Point2f, UInt32
-from djpt.sensors.base import Sensor, require_area
+from djpt.sensors.base import Sensor
 from djpt.sensors.group import SensorGroup
+from djpt.sensors.placement import require_area
 
 __all__ = ["Batch"]
 

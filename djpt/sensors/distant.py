@@ -16,7 +16,8 @@ from djpt.description.properties import Properties
 from djpt.description.registry import register_sensor
 from djpt.jit.kernels import as_vector
 from djpt.jit.types import Bool, Point2f
-from djpt.sensors.base import Sensor, look_along, placed_apart, require_area
+from djpt.sensors.base import Sensor
+from djpt.sensors.placement import look_along, placed_apart, require_area
 
 if TYPE_CHECKING:
     from djpt.description.plugin import Frame

@@ -13,7 +13,8 @@ from djpt.core.records import Ray3f
 from djpt.dispatch.ensemble import Detached, Ensemble
 from djpt.errors import RenderError, SceneError
 from djpt.jit.types import Bool, Point2f, UInt32
-from djpt.sensors.base import Sensor, placed_apart
+from djpt.sensors.base import Sensor
+from djpt.sensors.placement import placed_apart
 
 if TYPE_CHECKING:
     from djpt.description.plugin import Frame

@@ -16,7 +16,8 @@ from djpt.core.warp import square_to_cosine_hemisphere
 from djpt.description.properties import Properties
 from djpt.description.registry import register_sensor
 from djpt.jit.types import Bool, Color3f, Float, Point2f
-from djpt.sensors.base import Sensor, require_area
+from djpt.sensors.base import Sensor
+from djpt.sensors.placement import require_area
 
 if TYPE_CHECKING:
     from djpt.description.plugin import Frame

@@ -78,7 +78,7 @@ class Orthographic(ProjectiveCamera):
     def projection_transform(self) -> Any:
         film = self.film()
         window = (film.size(), film.crop_size(), film.crop_offset())
-        from djpt.sensors.projective import orthographic_projection  # the renderer needs no such matrix
+        from djpt.sensors.projection_matrices import orthographic_projection  # the renderer needs no such matrix
 
         return orthographic_projection(*window, self._near_clip, self._far_clip)
 

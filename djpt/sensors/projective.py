@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
 import numpy as np
@@ -14,25 +14,17 @@ from numpy.typing import NDArray
 from djpt.core.bounding_box import ScalarBoundingBox3f
 from djpt.core.numeric import as_number
 from djpt.core.records import DirectionSample3f
-from djpt.core.transforms.lanes import ProjectiveTransform4f
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.errors import ParameterError
 from djpt.jit.kernels import as_float, as_vector
-from djpt.jit.types import Bool, Color3f, Float, Matrix4f, Point2f, Point3f, ScalarArray2u, UInt32, Vector3f
+from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.sensors.base import Sensor
 
 if TYPE_CHECKING:
     from djpt.description.plugin import Frame
 
-__all__ = [
-    "Central",
-    "ProjectiveCamera",
-    "horizontal_fov",
-    "orthographic_projection",
-    "parse_fov",
-    "perspective_projection",
-]
+__all__ = ["Central", "ProjectiveCamera", "horizontal_fov"]
 
 FOV_AXES = ("x", "y", "diagonal", "smaller", "larger")
 FRAME_DIAGONAL = math.hypot(36.0, 24.0)
@@ -115,7 +107,7 @@ class ProjectiveCamera(Sensor):
         return float(distance[0] if dr.is_array_v(distance) else distance)
 
     def projection_transform(self) -> Any:
-        """The map of camera space to the crop window: see `djpt.sensors.projective`.
+        """The map of camera space to the crop window: see `djpt.sensors.projection_matrices`.
 
         The shift of a principal point is left out.
         """
@@ -173,7 +165,7 @@ class Central(ProjectiveCamera):
     def projection_transform(self) -> Any:
         film = self.film()
         window = (film.size(), film.crop_size(), film.crop_offset())
-        from djpt.sensors.projective import perspective_projection  # the renderer needs no such matrix
+        from djpt.sensors.projection_matrices import perspective_projection  # the renderer needs no such matrix
 
         return perspective_projection(*window, self.x_fov, self._near_clip, self._far_clip)
 
@@ -306,61 +298,3 @@ def focal_length(props: Properties) -> float:
     if not 0 < millimetres < math.inf:
         raise props.error("focal_length", f"must be a positive length such as '50mm', found '{text}'")
     return millimetres
-
-
-# ---- projections as transforms: from camera space to the crop window -------------------------
-
-
-Size: TypeAlias = Sequence[int] | ScalarArray2u
-"""Columns and rows of pixels."""
-
-
-def perspective_projection(
-    film_size: Size,
-    crop_size: Size,
-    crop_offset: Size,
-    fov_x: Any,
-    near_clip: Any,
-    far_clip: Any,
-) -> ProjectiveTransform4f:
-    """The projection of a pinhole camera, which looks along +z, to the crop window.
-
-    x and y of the window go from 0 to 1, y downwards, z from 0 on the near plane to 1 on the far plane. `fov_x` is in
-    degrees, for the width of the whole film.
-    """
-    near, far, tangent = as_number(near_clip), as_number(far_clip), math.tan(math.radians(as_number(fov_x)) / 2)
-    share = far / (far - near)
-    to_plane = np.array([[1 / tangent, 0, 0, 0], [0, 1 / tangent, 0, 0], [0, 0, share, -near * share], [0, 0, 1, 0]])
-    return made(to_window(film_size, crop_size, crop_offset) @ to_plane)
-
-
-def orthographic_projection(
-    film_size: Size, crop_size: Size, crop_offset: Size, near_clip: Any, far_clip: Any
-) -> ProjectiveTransform4f:
-    """The projection of a camera with parallel rays along +z, which sees -1 <= x <= 1, to the crop window."""
-    near, far = as_number(near_clip), as_number(far_clip)
-    depth = 1 / (far - near)
-    to_plane = np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, depth, -near * depth], [0, 0, 0, 1]])
-    return made(to_window(film_size, crop_size, crop_offset) @ to_plane)
-
-
-def parse_fov(props: Properties, aspect: float) -> float:
-    """The field of view along x in degrees, from the entries `fov` and `fov_axis`, or from `focal_length`.
-
-    `aspect` is width / height of the film. Raises `SceneError` for entries that say nothing or contradict each other.
-    """
-    return horizontal_fov(props, aspect)
-
-
-def to_window(film_size: Size, crop_size: Size, crop_offset: Size) -> NDArray[np.float64]:
-    """The map of an image plane with -1 <= x <= 1, x to the left and y up, to the crop window."""
-    size, crop, offset = (np.array([int(n) for n in pair], np.float64) for pair in (film_size, crop_size, crop_offset))
-    aspect = size[0] / size[1]
-    scale = np.array([-0.5, -0.5 * aspect]) * size / crop
-    shift = (0.5 - offset / size) * size / crop
-    return np.array([[scale[0], 0, 0, shift[0]], [0, scale[1], 0, shift[1]], [0, 0, 1, 0], [0, 0, 0, 1]])
-
-
-def made(matrix: NDArray[np.float64]) -> ProjectiveTransform4f:
-    """The transform of a matrix."""
-    return ProjectiveTransform4f(Matrix4f(matrix.tolist()))

@@ -12,7 +12,8 @@ from djpt.description.registry import register_sensor
 from djpt.errors import SceneError
 from djpt.jit.kernels import as_vector
 from djpt.jit.types import Bool, Point2f
-from djpt.sensors.base import Sensor, look_along
+from djpt.sensors.base import Sensor
+from djpt.sensors.placement import look_along
 
 if TYPE_CHECKING:
     from djpt.description.plugin import Frame
