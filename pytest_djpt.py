@@ -55,7 +55,7 @@ class ImageCheck:
         """
         __tracebackhide__ = True  # a failure shows the test, not this file
         from djpt.validation import ComparisonError, compare
-        from djpt.validation.measures import LIMITS
+        from djpt.validation.metrics import LIMITS
 
         file = re.sub(r"[^\w.,=-]+", "-", self.test if name is None else name).strip("-")
         target = self.references / f"{file}.exr"

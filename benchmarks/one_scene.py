@@ -24,8 +24,8 @@ from pairs import seconds, times_in_pairs
 
 from djpt.jit.backends import load_backend
 from djpt.jit.llvm.lanes import force_lanes
+from djpt.validation.comparison import agreement
 from djpt.validation.metrics import ComparisonError, relative_rmse
-from djpt.validation.same_seed import agreement
 
 LOADS = 3
 """How many times a scene is loaded by each renderer, at most."""

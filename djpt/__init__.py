@@ -32,18 +32,18 @@ if TYPE_CHECKING:
     from djpt import scenes as scenes
     from djpt import validation as validation
     from djpt.apps import optimization as optimization
-    from djpt.apps.display.live import show_passes as show_passes
+    from djpt.apps.display import show_passes as show_passes
     from djpt.apps.optimization.loop import optimize as optimize
     from djpt.core import warp as warp
     from djpt.core.bounding_box import BoundingBox2f as BoundingBox2f
     from djpt.core.bounding_box import BoundingBox3f as BoundingBox3f
+    from djpt.core.bounding_box import BoundingSphere3f as BoundingSphere3f
     from djpt.core.bounding_box import ScalarBoundingBox2f as ScalarBoundingBox2f
     from djpt.core.bounding_box import ScalarBoundingBox3f as ScalarBoundingBox3f
-    from djpt.core.bounding_sphere import BoundingSphere3f as BoundingSphere3f
-    from djpt.core.bounding_sphere import ScalarBoundingSphere3f as ScalarBoundingSphere3f
+    from djpt.core.bounding_box import ScalarBoundingSphere3f as ScalarBoundingSphere3f
     from djpt.core.frame import Frame3f as Frame3f
     from djpt.core.frame import coordinate_system as coordinate_system
-    from djpt.core.process.interruption import Terminated as Terminated
+    from djpt.core.interruption import Terminated as Terminated
     from djpt.core.records import BSDFContext as BSDFContext
     from djpt.core.records import BSDFFlags as BSDFFlags
     from djpt.core.records import BSDFSample3f as BSDFSample3f
@@ -64,6 +64,8 @@ if TYPE_CHECKING:
     from djpt.core.transforms.lanes import Transform3f as Transform3f
     from djpt.core.transforms.lanes import Transform4f as Transform4f
     from djpt.description.loader import load_dict as load_dict
+    from djpt.description.loader import load_file as load_file
+    from djpt.description.loader import load_string as load_string
     from djpt.description.parameters import SceneParameters as SceneParameters
     from djpt.description.parameters import traverse as traverse
     from djpt.description.plugin import ParamFlags as ParamFlags
@@ -81,8 +83,6 @@ if TYPE_CHECKING:
     from djpt.description.registry import register_shape as register_shape
     from djpt.description.registry import register_texture as register_texture
     from djpt.description.registry import register_volume as register_volume
-    from djpt.description.scene_files import load_file as load_file
-    from djpt.description.scene_files import load_string as load_string
     from djpt.description.xml.writer import to_xml as to_xml
     from djpt.description.xml.writer import write_dict as write_dict
     from djpt.emitters import Emitter as Emitter
@@ -163,7 +163,7 @@ sys.meta_path.insert(0, _FormerPaths())
 _prepare()
 
 if "IPython" in sys.modules:
-    from djpt.apps.display.notebooks import show_images
+    from djpt.apps.display import show_images
 
     show_images()
 
@@ -188,7 +188,7 @@ def _hint(name: str) -> str:
     """Why Mitsuba's name is left out, or which name is like it."""
     if name.startswith(("_", "DRJIT_")):  # protocols that others look for, Dr.Jit in each call of a frozen function
         return ""
-    from djpt.mitsuba.exclusions import reason
+    from djpt.mitsuba.names import reason
 
     why = reason(name)
     if why:

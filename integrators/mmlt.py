@@ -9,7 +9,7 @@ import drjit as dr
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
 from djpt.errors import RenderError
-from djpt.films.splats import Splats
+from djpt.films.footprint import Splats
 from djpt.integrators.bdpt import BidirectionalPath
 from djpt.integrators.bidirectional.single_strategy import SingleStrategy, numbers_drawn
 from djpt.integrators.markov.chains import Bootstrap, MarkovChains

@@ -11,7 +11,7 @@ from djpt.core.records import BSDFSample3f, Ray3f, SurfaceInteraction3f
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
 from djpt.errors import RenderError
-from djpt.films.splats import Splats
+from djpt.films.footprint import Splats
 from djpt.integrators.bidirectional.light_paths import departure
 from djpt.integrators.bidirectional.subpath import scaled
 from djpt.integrators.path import Path

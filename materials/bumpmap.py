@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, ClassVar
 import drjit as dr
 
 from djpt.core.records import BSDFFlags, SurfaceInteraction3f, has_flag
-from djpt.description.allowed import Allowed
 from djpt.description.plugin import ParamFlags, Plugin
-from djpt.description.properties import Properties
+from djpt.description.properties import Allowed, Properties
 from djpt.description.registry import register_bsdf
 from djpt.errors import SceneError
 from djpt.jit.kernels import as_float
@@ -18,7 +17,7 @@ from djpt.jit.types import Bool, Vector3f
 from djpt.materials.perturbed import PerturbedBSDF
 
 if TYPE_CHECKING:
-    from djpt.description.frame_change import Frame
+    from djpt.description.plugin import Frame
 
 __all__ = ["BumpMap"]
 

@@ -19,7 +19,7 @@ from djpt.materials.ior import check_eta, ior
 from djpt.textures.base import Texture
 
 if TYPE_CHECKING:
-    from djpt.description.frame_change import Frame
+    from djpt.description.plugin import Frame
 
 __all__ = ["REFLECTION", "TRANSMISSION", "Dielectric", "optional_texture", "tint"]
 

@@ -12,9 +12,8 @@ from djpt.core.color import LUMINANCE
 from djpt.core.numeric import as_array
 from djpt.core.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
 from djpt.core.warp import square_to_rough_fiber_pdf
-from djpt.description.allowed import Allowed
 from djpt.description.plugin import ParamFlags, TraversalCallback
-from djpt.description.properties import Properties
+from djpt.description.properties import Allowed, Properties
 from djpt.description.registry import register_bsdf
 from djpt.errors import ParameterError, SceneError
 from djpt.jit.frozen import recording

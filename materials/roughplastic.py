@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 
 from djpt.core.numeric import as_array
 from djpt.core.records import BSDFContext, BSDFFlags, SurfaceInteraction3f
-from djpt.description.allowed import Allowed
 from djpt.description.plugin import ParamFlags, TraversalCallback
-from djpt.description.properties import Properties
+from djpt.description.properties import Allowed, Properties
 from djpt.description.registry import register_bsdf
 from djpt.dispatch.tables import entry_at
 from djpt.errors import ParameterError, SceneError

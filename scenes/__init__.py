@@ -16,11 +16,11 @@ NAMES = (
 """The keys of `SCENES`, for commands that need one of them only."""
 
 if TYPE_CHECKING:
-    from djpt.scenes.analytic import furnace as furnace
     from djpt.scenes.catalogue import SCENES as SCENES
     from djpt.scenes.cornell import cornell_box as cornell_box
     from djpt.scenes.cornell import cornell_box_boxfilter as cornell_box_boxfilter
     from djpt.scenes.cornell import cornell_box_spheres as cornell_box_spheres
+    from djpt.scenes.cornell import furnace as furnace
     from djpt.scenes.gallery import shader_ball as shader_ball
     from djpt.scenes.light_paths import door_ajar as door_ajar
     from djpt.scenes.light_paths import fixture as fixture
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from djpt.scenes.light_paths import lamp_behind_pane as lamp_behind_pane
     from djpt.scenes.light_paths import lamp_in_glass as lamp_in_glass
     from djpt.scenes.light_paths import parabolic_mirror as parabolic_mirror
-    from djpt.scenes.stages import sky as sky
-    from djpt.scenes.stages import stage as stage
+    from djpt.scenes.light_paths import sky as sky
+    from djpt.scenes.light_paths import stage as stage
 else:
     __getattr__, __dir__, __all__ = lazily(__name__)

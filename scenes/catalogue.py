@@ -5,19 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from djpt.scenes.analytic import furnace
-from djpt.scenes.cornell import cornell_box, cornell_box_boxfilter, cornell_box_spheres
-from djpt.scenes.gallery import shader_ball
-from djpt.scenes.light_paths import door_ajar, fixture, glass_ball, lamp_behind_pane, lamp_in_glass, parabolic_mirror
-from djpt.scenes.stages import stage
+from djpt import scenes
 
 __all__ = ["SCENES"]
 
-SCENES: dict[str, Callable[[], dict[str, Any]]] = {
-    scene.__name__: scene
-    for scene in (
-        *(cornell_box, cornell_box_boxfilter, cornell_box_spheres, door_ajar, fixture, furnace, glass_ball),
-        *(lamp_behind_pane, lamp_in_glass, parabolic_mirror, shader_ball, stage),
-    )
-}
+SCENES: dict[str, Callable[[], dict[str, Any]]] = {name: getattr(scenes, name) for name in scenes.NAMES}
 """The functions of the built-in scenes by name. Each call makes a new dict."""

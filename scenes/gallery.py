@@ -124,171 +124,112 @@ class Panel:
         return shader_ball(self.bsdf(), size)
 
 
+def plugin(type: str, **parameters: Any) -> dict[str, Any]:
+    """The description of a plugin."""
+    return {"type": type, **parameters}
+
+
+def panel(subtitle: str, type: str, **parameters: Any) -> Panel:
+    """The panel of a material; what takes time to compute may be given as a function."""
+    return Panel(type, subtitle, lambda: plugin(type, **{k: v() if callable(v) else v for k, v in parameters.items()}))
+
+
+METAL_PATCHES = plugin("twosided", inner=plugin("roughconductor", material="Cu", alpha=0.25))
+PAINTED_SIDES = plugin(
+    "twosided", front=plugin("plastic", diffuse_reflectance=TEAL), back=plugin("diffuse", reflectance=OCHRE)
+)
+GLOSSY = {"diffuse_reflectance": NAVY, "specular_reflectance": 0.6, "exponent": 60.0}
+
 MATERIALS: dict[str, Panel] = {
-    "diffuse": Panel("diffuse", "reflectance", lambda: {"type": "diffuse", "reflectance": CLAY}),
-    "checkerboard": Panel(
-        "diffuse", "a checkerboard", lambda: {"type": "diffuse", "reflectance": squares(8, 4, WHITE, TEAL)}
-    ),
+    "diffuse": panel("reflectance", "diffuse", reflectance=CLAY),
+    "checkerboard": panel("a checkerboard", "diffuse", reflectance=squares(8, 4, WHITE, TEAL)),
     "twosided": Panel(
-        "twosided",
-        "in a mask: two sides",
-        lambda: {
-            "type": "mask",
-            "opacity": squares(4, 3),
-            "inner": {
-                "type": "twosided",
-                "front": {"type": "plastic", "diffuse_reflectance": TEAL},
-                "back": {"type": "diffuse", "reflectance": OCHRE},
-            },
-        },
+        "twosided", "in a mask: two sides", lambda: plugin("mask", opacity=squares(4, 3), inner=PAINTED_SIDES)
     ),
-    "mask": Panel(
-        "mask",
-        "opacity: a bitmap",
-        lambda: {
-            "type": "mask",
-            "opacity": bitmap(1 - np.sign(dots(9, 12, 0.38))),
-            "inner": {"type": "twosided", "inner": {"type": "roughconductor", "material": "Cu", "alpha": 0.25}},
-        },
+    "mask": panel(
+        "opacity: a bitmap", "mask", opacity=lambda: bitmap(1 - np.sign(dots(9, 12, 0.38))), inner=METAL_PATCHES
     ),
-    "null": Panel("null", "no surface", lambda: {"type": "null"}),
-    "phong": Panel(
-        "phong",
-        "exponent 60",
-        lambda: {"type": "phong", "diffuse_reflectance": NAVY, "specular_reflectance": 0.6, "exponent": 60.0},
-    ),
-    "blinn": Panel(
-        "blinn",
-        "exponent 60",
-        lambda: {"type": "blinn", "diffuse_reflectance": NAVY, "specular_reflectance": 0.6, "exponent": 60.0},
-    ),
-    "plastic": Panel("plastic", "smooth coat", lambda: {"type": "plastic", "diffuse_reflectance": PLUM}),
-    "roughplastic": Panel(
-        "roughplastic", "alpha 0.15", lambda: {"type": "roughplastic", "diffuse_reflectance": PLUM, "alpha": 0.15}
-    ),
-    "pplastic": Panel(
-        "pplastic",
-        "brushed",
-        lambda: {"type": "pplastic", "diffuse_reflectance": TEAL, "alpha_u": 0.05, "alpha_v": 0.3},
-    ),
-    "hair": Panel("hair", "a coat of dark hair", lambda: {"type": "hair", "azimuthal_roughness": 0.6}),
-    "polarizer": Panel("polarizer", "half of all light", lambda: {"type": "polarizer"}),
-    "retarder": Panel("retarder", "tinted", lambda: {"type": "retarder", "transmittance": rgb(0.9, 0.95, 0.7)}),
-    "circular": Panel("circular", "tinted", lambda: {"type": "circular", "transmittance": rgb(0.7, 0.9, 0.95)}),
-    "blendbsdf": Panel(
-        "blendbsdf",
+    "null": panel("no surface", "null"),
+    "phong": panel("exponent 60", "phong", **GLOSSY),
+    "blinn": panel("exponent 60", "blinn", **GLOSSY),
+    "plastic": panel("smooth coat", "plastic", diffuse_reflectance=PLUM),
+    "roughplastic": panel("alpha 0.15", "roughplastic", diffuse_reflectance=PLUM, alpha=0.15),
+    "pplastic": panel("brushed", "pplastic", diffuse_reflectance=TEAL, alpha_u=0.05, alpha_v=0.3),
+    "hair": panel("a coat of dark hair", "hair", azimuthal_roughness=0.6),
+    "polarizer": panel("half of all light", "polarizer"),
+    "retarder": panel("tinted", "retarder", transmittance=rgb(0.9, 0.95, 0.7)),
+    "circular": panel("tinted", "circular", transmittance=rgb(0.7, 0.9, 0.95)),
+    "blendbsdf": panel(
         "plaster and gold",
-        lambda: {
-            "type": "blendbsdf",
-            "weight": squares(6, 3),
-            "first": {"type": "diffuse", "reflectance": WHITE},
-            "second": {"type": "roughconductor", "material": "Au", "alpha": 0.15},
-        },
+        "blendbsdf",
+        weight=squares(6, 3),
+        first=plugin("diffuse", reflectance=WHITE),
+        second=plugin("roughconductor", material="Au", alpha=0.15),
     ),
-    "bumpmap": Panel(
-        "bumpmap",
+    "bumpmap": panel(
         "heights",
-        lambda: {
-            "type": "bumpmap",
-            "heights": bitmap(dots(9, 12, 0.45)),
-            "scale": 0.08,
-            "inner": {"type": "roughplastic", "diffuse_reflectance": LEAF, "alpha": 0.1},
-        },
+        "bumpmap",
+        heights=lambda: bitmap(dots(9, 12, 0.45)),
+        scale=0.08,
+        inner=plugin("roughplastic", diffuse_reflectance=LEAF, alpha=0.1),
     ),
-    "normalmap": Panel(
-        "normalmap",
+    "normalmap": panel(
         "an image of normals",
-        lambda: {
-            "type": "normalmap",
-            "normalmap": bitmap(normals_of(-dots(14, 24, 0.46), 3.0)),
-            "inner": {"type": "roughconductor", "material": "Ag", "alpha": 0.15},
-        },
+        "normalmap",
+        normalmap=lambda: bitmap(normals_of(-dots(14, 24, 0.46), 3.0)),
+        inner=plugin("roughconductor", material="Ag", alpha=0.15),
     ),
-    "mirror": Panel("mirror", "reflectance 0.9", lambda: {"type": "mirror", "reflectance": 0.9}),
-    "conductor": Panel("conductor", "gold", lambda: {"type": "conductor", "material": "Au"}),
-    "roughconductor": Panel(
-        "roughconductor",
-        "copper, alpha 0.2",
-        lambda: {"type": "roughconductor", "material": "Cu", "alpha": 0.2, "distribution": "ggx"},
+    "mirror": panel("reflectance 0.9", "mirror", reflectance=0.9),
+    "conductor": panel("gold", "conductor", material="Au"),
+    "roughconductor": panel("copper, alpha 0.2", "roughconductor", material="Cu", alpha=0.2, distribution="ggx"),
+    "anisotropic": panel(
+        "silver, 0.05 x 0.4", "roughconductor", material="Ag", alpha_u=0.05, alpha_v=0.4, distribution="ggx"
     ),
-    "anisotropic": Panel(
-        "roughconductor",
-        "silver, 0.05 x 0.4",
-        lambda: {"type": "roughconductor", "material": "Ag", "alpha_u": 0.05, "alpha_v": 0.4, "distribution": "ggx"},
-    ),
-    "dielectric": Panel("dielectric", "diamond", lambda: {"type": "dielectric", "int_ior": "diamond"}),
-    "thindielectric": Panel("thindielectric", "a bubble", lambda: {"type": "thindielectric"}),
-    "roughdielectric": Panel(
-        "roughdielectric",
-        "alpha 0.15",
-        lambda: {"type": "roughdielectric", "int_ior": 1.5, "alpha": 0.15, "distribution": "ggx"},
-    ),
-    "principled": Panel(
-        "principled",
+    "dielectric": panel("diamond", "dielectric", int_ior="diamond"),
+    "thindielectric": panel("a bubble", "thindielectric"),
+    "roughdielectric": panel("alpha 0.15", "roughdielectric", int_ior=1.5, alpha=0.15, distribution="ggx"),
+    "principled": panel(
         "clearcoat on paint",
-        lambda: {
-            "type": "principled",
-            "base_color": rgb(0.55, 0.03, 0.03),
-            "roughness": 0.45,
-            "metallic": 0.3,
-            "clearcoat": 1.0,
-            "clearcoat_gloss": 0.95,
-        },
-    ),
-    "metallic": Panel(
         "principled",
+        base_color=rgb(0.55, 0.03, 0.03),
+        roughness=0.45,
+        metallic=0.3,
+        clearcoat=1.0,
+        clearcoat_gloss=0.95,
+    ),
+    "metallic": panel(
         "metallic, anisotropic",
-        lambda: {
-            "type": "principled",
-            "base_color": rgb(0.85, 0.6, 0.45),
-            "metallic": 1.0,
-            "roughness": 0.35,
-            "anisotropic": 0.8,
-        },
-    ),
-    "sheen": Panel(
         "principled",
-        "rough, with sheen",
-        lambda: {
-            "type": "principled",
-            "base_color": rgb(0.012, 0.008, 0.06),
-            "roughness": 1.0,
-            "sheen": 1.0,
-            "sheen_tint": 0.3,
-        },
+        base_color=rgb(0.85, 0.6, 0.45),
+        metallic=1.0,
+        roughness=0.35,
+        anisotropic=0.8,
     ),
-    "spec_trans": Panel(
-        "principled",
-        "spec_trans 1",
-        lambda: {
-            "type": "principled",
-            "base_color": rgb(0.75, 0.95, 0.85),
-            "roughness": 0.12,
-            "spec_trans": 1.0,
-            "eta": 1.4,
-        },
+    "sheen": panel(
+        "rough, with sheen", "principled", base_color=rgb(0.012, 0.008, 0.06), roughness=1.0, sheen=1.0, sheen_tint=0.3
     ),
-    "principledthin": Panel(
-        "principledthin",
-        "paper: diff_trans 1.2",
-        lambda: {"type": "principledthin", "base_color": rgb(0.9, 0.75, 0.5), "roughness": 0.6, "diff_trans": 1.2},
+    "spec_trans": panel(
+        "spec_trans 1", "principled", base_color=rgb(0.75, 0.95, 0.85), roughness=0.12, spec_trans=1.0, eta=1.4
+    ),
+    "principledthin": panel(
+        "paper: diff_trans 1.2", "principledthin", base_color=rgb(0.9, 0.75, 0.5), roughness=0.6, diff_trans=1.2
     ),
 }
 """The panels of all materials, by name; every plugin occurs at least once."""
 
 
-def glass(**parameters: Any) -> Callable[[], dict[str, Any]]:
-    """Make a function that describes glass in air; the indices of refraction are 1.5 and 1 by default."""
-    return lambda: {"type": "glass", "ext_ior": 1.0, "int_ior": 1.5, **parameters}
+def glass(subtitle: str, int_ior: float = 1.5, **parameters: Any) -> Panel:
+    """The panel of a ball of glass in air."""
+    return panel(subtitle, "glass", ext_ior=1.0, int_ior=int_ior, **parameters)
 
 
 GLASS: dict[str, Panel] = {
-    "glass-reflection": Panel("glass", "reflection only", glass(transmission=False)),
-    "glass-refraction-1": Panel("glass", "refraction only, IOR 1", glass(reflection=False, int_ior=1.0)),
-    "glass-refraction": Panel("glass", "refraction only, IOR 1.5", glass(reflection=False)),
-    "glass-1": Panel("glass", "IOR 1", glass(int_ior=1.0)),
-    "glass": Panel("glass", "IOR 1.5", glass()),
-    "glass-absorption": Panel("glass", "with absorption", glass(absorption=rgb(0.9, 0.25, 0.12))),
+    "glass-reflection": glass("reflection only", transmission=False),
+    "glass-refraction-1": glass("refraction only, IOR 1", reflection=False, int_ior=1.0),
+    "glass-refraction": glass("refraction only, IOR 1.5", reflection=False),
+    "glass-1": glass("IOR 1", int_ior=1.0),
+    "glass": glass("IOR 1.5"),
+    "glass-absorption": glass("with absorption", absorption=rgb(0.9, 0.25, 0.12)),
 }
 """The panels of glass: its two lobes alone and together, with and without refraction, and coloured glass."""
 

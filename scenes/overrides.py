@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from djpt.core.files import require_regular
-from djpt.description.document import Document
+from djpt.description.files import Document
 from djpt.errors import FileError, SceneError, near_miss, nearest
 
 __all__ = ["described", "integrator_name", "override", "reduced", "rfilter_name"]

@@ -7,10 +7,12 @@ if __name__ != "djpt.validation":  # a second copy of every class would be made
 
 from djpt.validation.bridge import mitsuba_renderer, render_in_mitsuba, to_mitsuba
 from djpt.validation.compare import assert_matches, compare, compare_renderers, store_reference
-from djpt.validation.comparison import Comparison
+from djpt.validation.comparison import Agreement, Comparison, agreement
 from djpt.validation.gradcheck import GradientCheck, check_gradient
 from djpt.validation.metrics import (
     ComparisonError,
+    flip,
+    hdr_flip,
     mae,
     mean_bias,
     psnr,
@@ -18,10 +20,9 @@ from djpt.validation.metrics import (
     relative_mse,
     relative_rmse,
     rmse,
+    ssim,
 )
-from djpt.validation.perceptual import flip, hdr_flip, ssim
 from djpt.validation.references import Reference, read_reference, write_reference
-from djpt.validation.same_seed import Agreement, agreement
 from djpt.validation.statistics import Batches, TestResult, block_test, mean_test, pixel_test
 
 __all__ = [

@@ -18,8 +18,7 @@ from djpt.images.image import Image, read_pixels
 from djpt.scenes.overrides import described, integrator_name, override, rfilter_name
 from djpt.validation.bridge import Renderer, mitsuba_renderer
 from djpt.validation.metrics import ComparisonError
-from djpt.validation.provenance import readable
-from djpt.validation.references import Reference, is_reference, read_reference
+from djpt.validation.references import Reference, is_reference, read_reference, readable
 
 __all__ = [
     "Comparand",

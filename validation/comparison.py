@@ -2,31 +2,73 @@
 
 from __future__ import annotations
 
-import base64
-import html
 import math
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from djpt.validation import perceptual
-from djpt.validation.measures import MEASURES, within
-from djpt.validation.same_seed import Agreement
+from djpt.images.sheets import DARK, Tile, captioned_sheet, enlarged, shown
+from djpt.validation.metrics import MEASURES, flip_map, pair, within
+from djpt.validation.report import Bytes, Pictured, difference_picture
 from djpt.validation.statistics import TestResult
 
-__all__ = ["Comparison"]
+__all__ = ["Agreement", "Comparison", "agreement"]
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """The agreement of two images with the same seed.
+
+    * `share`: the share of pixels whose channels all agree to within `tolerance`.
+    * `worst`: the largest relative difference of a pixel; `median`: the median over the pixels.
+    * `bias`: sum of the differences / sum of the reference. Paths that rounding has changed are as often brighter as
+      darker, so a bias far above `(1 - share)` times the noise has another cause than rounding.
+    """
+
+    share: float
+    tolerance: float
+    median: float
+    worst: float
+    bias: float
+
+    def __str__(self) -> str:
+        detail = f"median {self.median:.1e}, worst {self.worst:.1e}"
+        return f"{self.share:.4%} of pixels within {self.tolerance:g} ({detail})"
+
+
+def agreement(image: Any, reference: Any, tolerance: float = 1e-3) -> Agreement:
+    """Compare two renders with equal seed and spp, shape (H, W, C).
+
+    A pixel's relative difference is ``max over channels |a - b| / max(|a|, |b|, floor)``. The floor, 1e-3 of the
+    reference's mean, prevents large relative differences by rounding in channels that are nearly black.
+    """
+    a, b = pair(image, reference)
+    floor = max(1e-3 * float(np.mean(np.abs(b))), float(np.finfo(np.float32).tiny))
+    difference = (np.abs(a - b) / np.maximum(np.maximum(np.abs(a), np.abs(b)), floor)).max(axis=2)
+    total = float(np.sum(b))
+    return Agreement(
+        share=float(np.mean(difference <= tolerance)),
+        tolerance=tolerance,
+        median=float(np.median(difference)),
+        worst=float(difference.max()),
+        bias=float(np.sum(a - b)) / total if total else 0.0,
+    )
+
+
+# ---- the result ------------------------------------------------------------------------------
+
 
 ALWAYS = ("mae", "relmse", "psnr", "ssim")
 """The measures of every table, beside RMSE and the bias. FLIP takes longer and is shown where it is a threshold."""
 
 
 @dataclass(frozen=True)
-class Comparison:
+class Comparison(Pictured):
     """The result of `compare`. `print()` shows a table, `write_picture(path)` a picture, `write_page(path)` a page.
 
     * `image`, `reference`: the mean images of the two sides, (H, W, C) float32, linear.
@@ -41,9 +83,11 @@ class Comparison:
     * `z_map`: the deviate of each pixel's worst channel, (H, W), or None without noise.
     * `same_seed`: agreement of one pair of renders with the same seed at `same_seed_spp`, or None.
     * `seconds`, `reference_seconds`: median time of one batch, without the first one, which compiles.
-    * `limits`: the thresholds that were given, by the names of `djpt.validation.measures.LIMITS`.
+    * `limits`: the thresholds that were given, by the names of `djpt.validation.metrics.LIMITS`.
     * `facts`: for each side, what was rendered: names and values for people to read.
     """
+
+    title = "a comparison"
 
     name: str
     image: npt.NDArray[np.float32]
@@ -68,7 +112,7 @@ class Comparison:
     facts: tuple[Mapping[str, Any], Mapping[str, Any]] = field(default_factory=lambda: ({}, {}))
 
     def measure(self, name: str) -> float:
-        """One of `djpt.validation.measures.MEASURES`, computed when it is first asked for."""
+        """One of `djpt.validation.metrics.MEASURES`, computed when it is first asked for."""
         if name not in self._measured:
             self._measured[name] = MEASURES[name].compute(self.image, self.reference)
         return self._measured[name]
@@ -79,8 +123,8 @@ class Comparison:
 
     @cached_property
     def flip_map(self) -> npt.NDArray[np.float64]:
-        """FLIP per pixel, (H, W); see `djpt.validation.perceptual.flip_map`."""
-        found = perceptual.flip_map(self.image, self.reference)
+        """FLIP per pixel, (H, W); see `djpt.validation.metrics.flip_map`."""
+        found = flip_map(self.image, self.reference)
         self._measured["flip"] = float(np.mean(found))
         return found
 
@@ -119,29 +163,35 @@ class Comparison:
         """The reference's time / ours for one batch: an estimate, which `benchmarks/` measures more precisely."""
         return self.reference_seconds / self.seconds if self.seconds > 0 else math.inf
 
-    def write_picture(self, path: str | os.PathLike[str]) -> None:
-        """Write image | reference | difference side by side, as png or jpg."""
-        from djpt.validation.report import write_picture
-
-        write_picture(self, path)
-
     def write_page(self, path: str | os.PathLike[str]) -> None:
         """Write a page for a browser, one HTML file that needs no network: both images, differences, all numbers."""
         from djpt.validation.page import write_page
 
         write_page(self, path)
 
-    def _repr_html_(self) -> str:
-        """The picture and the table, for notebooks."""
-        png = base64.b64encode(self._repr_png_()).decode()
-        return f'<img src="data:image/png;base64,{png}"><pre>{html.escape(str(self))}</pre>'
+    def picture(self) -> Bytes:
+        """Three panels with captions: image | reference | difference, sRGB (H, W, 3).
 
-    def _repr_png_(self) -> bytes:
-        """The picture as a PNG, for notebooks."""
-        from djpt.images.image import Image
-        from djpt.validation.report import picture
-
-        return Image(picture(self))._repr_png_()
+        The third panel shows the mean over the channels of ours - Mitsuba's: red where ours is brighter, blue where it
+        is darker. Its full scale, stated below it, is exceeded by one pixel in a hundred.
+        """
+        difference = np.abs(np.mean(self.image.astype(np.float64) - self.reference, axis=2))
+        scale = max(float(np.quantile(difference, 0.99)), 1e-6)
+        ours, theirs = shown(self.image), shown(self.reference)
+        first, second = (
+            f"{title}, {spp} spp" if spp else title
+            for title, spp in zip(self.titles, (self.spp, self.reference_spp), strict=True)
+        )
+        tiles = [
+            Tile(first, f"mean {np.mean(self.image):.5g}", ours),
+            Tile(second, f"mean {np.mean(self.reference):.5g}", theirs),
+            Tile(
+                f"difference, RMSE {self.rmse:.3g}",
+                f"red: {self.titles[0]} brighter; full scale {scale:.2g}",
+                difference_picture(self.image, self.reference, scale),
+            ),
+        ]
+        return captioned_sheet([replace(tile, picture=enlarged(tile.picture)) for tile in tiles], palette=DARK)
 
     def rows(self, measures: tuple[str, ...] = ALWAYS) -> list[tuple[str, str, str, str]]:
         """The rows of the table: (what, value, limit, verdict), with these measures and those that have limits."""

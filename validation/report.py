@@ -1,63 +1,54 @@
-"""The picture of a comparison: image | reference | difference."""
+"""The pictures of results: panels side by side, and differences in red and blue."""
 
 from __future__ import annotations
 
+import base64
+import html
 import os
-from dataclasses import replace
+from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from djpt.errors import FileError
 from djpt.images.formats import DISPLAY_FORMATS
-from djpt.images.image import write
-from djpt.images.sheets import DARK, Tile, captioned_sheet, enlarged, shown
+from djpt.images.image import Image, write
 
-if TYPE_CHECKING:
-    from djpt.validation.comparison import Comparison
-
-__all__ = ["check_picture", "difference_picture", "picture", "write_picture"]
+__all__ = ["Bytes", "Pictured", "address", "difference_picture", "document", "read_beside"]
 
 Bytes = npt.NDArray[np.uint8]
 
 
-def check_picture(path: str | os.PathLike[str]) -> None:
-    """Raise `FileError` unless the picture of a comparison can have this name; ask before rendering."""
-    if Path(path).suffix.lower() not in DISPLAY_FORMATS:
-        raise FileError(f"can't write '{path}': the picture of a comparison is a png or a jpg")
+class Pictured:
+    """A result that is also a picture, for files and for notebooks."""
 
+    title: ClassVar[str]
+    """The kind of result, for messages."""
 
-def write_picture(result: Comparison, path: str | os.PathLike[str]) -> None:
-    """Write `picture(result)` as png or jpg. Raises `FileError`."""
-    check_picture(path)
-    write(path, picture(result))
+    def picture(self) -> Bytes:
+        """The picture, sRGB (H, W, 3)."""
+        raise NotImplementedError
 
+    @classmethod
+    def check_picture(cls, path: str | os.PathLike[str]) -> None:
+        """Raise `FileError` unless the picture can have this name; ask before rendering."""
+        if Path(path).suffix.lower() not in DISPLAY_FORMATS:
+            raise FileError(f"can't write '{path}': the picture of {cls.title} is a png or a jpg")
 
-def picture(result: Comparison) -> Bytes:
-    """Three panels with captions, sRGB (H, W, 3).
+    def write_picture(self, path: str | os.PathLike[str]) -> None:
+        """Write `picture` as png or jpg. Raises `FileError`."""
+        self.check_picture(path)
+        write(path, self.picture())
 
-    The third panel shows the mean over the channels of ours - Mitsuba's: red where ours is brighter, blue where it
-    is darker. Its full scale, stated below it, is exceeded by one pixel in a hundred.
-    """
-    difference = np.abs(np.mean(result.image.astype(np.float64) - result.reference, axis=2))
-    scale = max(float(np.quantile(difference, 0.99)), 1e-6)
-    ours, theirs = shown(result.image), shown(result.reference)
-    first, second = (
-        f"{title}, {spp} spp" if spp else title
-        for title, spp in zip(result.titles, (result.spp, result.reference_spp), strict=True)
-    )
-    tiles = [
-        Tile(first, f"mean {np.mean(result.image):.5g}", ours),
-        Tile(second, f"mean {np.mean(result.reference):.5g}", theirs),
-        Tile(
-            f"difference, RMSE {result.rmse:.3g}",
-            f"red: {result.titles[0]} brighter; full scale {scale:.2g}",
-            difference_picture(result.image, result.reference, scale),
-        ),
-    ]
-    return captioned_sheet([replace(tile, picture=enlarged(tile.picture)) for tile in tiles], palette=DARK)
+    def _repr_png_(self) -> bytes:
+        """The picture as a PNG, for notebooks."""
+        return Image(self.picture())._repr_png_()
+
+    def _repr_html_(self) -> str:
+        """The picture and the table, for notebooks."""
+        return f'<img src="{address(self._repr_png_())}"><pre>{html.escape(str(self))}</pre>'
 
 
 def difference_picture(image: Any, reference: Any, scale: float) -> Bytes:
@@ -66,3 +57,24 @@ def difference_picture(image: Any, reference: Any, scale: float) -> Bytes:
     away = np.clip(np.abs(signed), 0, 1)[..., None]
     hue = np.where(signed[..., None] > 0, np.array([178.0, 24, 43]), np.array([33.0, 102, 172]))
     return np.asarray(np.rint(255 + (hue - 255) * away), np.uint8)
+
+
+def address(png: bytes) -> str:
+    """A PNG as an address that has it all, for pages that need no other file."""
+    return "data:image/png;base64," + base64.b64encode(png).decode("ascii")
+
+
+def read_beside(module: str, name: str) -> str:
+    """Read a text file in the folder of a module, given by its ``__file__``."""
+    return Path(module).with_name(name).read_text(encoding="utf-8")
+
+
+def document(title: str, style: str, parts: Iterable[str], end: str) -> str:
+    """A page of HTML: its title, its style, the parts of its body that aren't empty, and what follows them."""
+    return (
+        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<link rel="icon" href="data:,">\n'
+        f'<meta name="viewport" content="width=device-width, initial-scale=1">\n<title>{title}</title>\n'
+        f"<style>\n{style}</style>\n</head>\n<body>\n<main>\n"
+        + "\n".join(part for part in parts if part)
+        + f"\n</main>\n{end}\n</body>\n</html>\n"
+    )

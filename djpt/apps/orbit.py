@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from djpt.core.records import Ray3f
-from djpt.core.transforms.matrices import about_axis
+from djpt.core.transforms.base import about_axis
 from djpt.jit.types import Point3f, Vector3f
 
 if TYPE_CHECKING:

@@ -28,6 +28,7 @@ FORMER = {
     "djpt.warp": "djpt.core.warp",
     "djpt.parameters": "djpt.description.parameters",
     "djpt.optimization": "djpt.apps.optimization",
+    "djpt.optimization.bounds": "djpt.apps.optimization.variables",
     # Mitsuba's modules
     "djpt.ad": "djpt.mitsuba.ad",
     "djpt.ad.guiding": "djpt.integrators.projective.guiding",

@@ -1,4 +1,4 @@
-"""Functions that are called with one of several lists of arguments."""
+"""Functions that are called with one of several lists of arguments, and methods that get and set an attribute."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 from djpt.errors import ArgumentError
 
-__all__ = ["forms"]
+__all__ = ["accessors", "forms"]
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -55,3 +55,18 @@ def signature(needed: list[str], optional: list[str], method: bool) -> Signature
     return Signature(
         [*own, *(Parameter(name, kind) for name in needed), *(Parameter(name, kind, default=None) for name in optional)]
     )
+
+
+def accessors(
+    attribute: str, doc: str, convert: Callable[[Any], Any] = bool
+) -> tuple[Callable[..., Any], Callable[..., None]]:
+    """The methods that return and that set an attribute, as Mitsuba's classes have them in place of properties."""
+
+    def get(self: Any) -> Any:
+        return getattr(self, attribute)
+
+    def set_(self: Any, value: Any) -> None:
+        setattr(self, attribute, convert(value))
+
+    get.__doc__, set_.__doc__ = doc, f"Set the value: {doc[0].lower()}{doc[1:]}"
+    return get, set_

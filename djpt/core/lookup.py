@@ -59,14 +59,10 @@ def is_in_runs(index: UInt32, ranges: Iterable[tuple[int, int]]) -> Bool:
 
 def is_in_table(index: UInt32, ranges: list[tuple[int, int]], size: int) -> Bool:
     """True where `index` is in one of the ranges; numbers that aren't below `size` get any answer."""
-    if size > WORD or is_single(ranges):
+    # Of one number at most, one comparison finds it.
+    if size > WORD or not ranges or (len(ranges) == 1 and ranges[0][0] == ranges[0][1]):
         return is_in_runs(index, ranges)
     return sign_word(index, ranges) < 0
-
-
-def is_single(ranges: list[tuple[int, int]]) -> bool:
-    """True if the ranges hold one number at most: then one comparison finds it."""
-    return not ranges or (len(ranges) == 1 and ranges[0][0] == ranges[0][1])
 
 
 def sign_word(index: UInt32, ranges: Iterable[tuple[int, int]]) -> Int32:

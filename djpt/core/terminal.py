@@ -28,14 +28,11 @@ def visible(text: str, kept: str = "") -> str:
     if text.isprintable():
         return text
     return "".join(
-        character if character in kept or can_be_seen(character) else character.encode("unicode_escape").decode("ascii")
-        for character in text
+        c
+        if c in kept or c.isprintable() or unicodedata.category(c) == "Zs"
+        else c.encode("unicode_escape").decode("ascii")
+        for c in text
     )
-
-
-def can_be_seen(character: str) -> bool:
-    """True if a character has a picture, or is a space."""
-    return character.isprintable() or unicodedata.category(character) == "Zs"
 
 
 class VisibleText(io.TextIOBase):

@@ -17,7 +17,7 @@ from djpt.description.plugin import Plugin
 from djpt.errors import SceneError, near_miss
 from djpt.jit.types import Color3f
 
-__all__ = ["REQUIRED", "Entries", "EntryType"]
+__all__ = ["REQUIRED", "Entries"]
 
 REQUIRED: Final[Any] = type("Required", (), {"__repr__": lambda self: "REQUIRED"})()
 """Stands for "no default": the key is required."""

@@ -1,18 +1,34 @@
-"""The search for files that a scene description names."""
+"""The search for files that a scene description names, and descriptions that know the file they come from."""
 
 from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Callable, Collection, Hashable, Iterable, Iterator
+import re
+from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping
 from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, TypeVar
 
-from djpt.core.files import as_path, shortened
+from djpt.core.files import as_path, read_bytes, shortened
+from djpt.core.limits import LARGEST
 from djpt.errors import FileError
 
-__all__ = ["FileResolver", "confined", "file_resolver", "read_once", "reading_once", "resolve", "set_file_resolver"]
+__all__ = [
+    "NUMBER",
+    "Document",
+    "FileResolver",
+    "confined",
+    "file_resolver",
+    "files_of",
+    "named_files",
+    "read_once",
+    "read_pairs",
+    "reading_once",
+    "resolve",
+    "set_file_resolver",
+    "with_files",
+]
 
 T = TypeVar("T")
 
@@ -183,3 +199,110 @@ def read_once(name: str, form: Hashable, read: Callable[[], T]) -> T:
         known[form] = read()
     result: T = known[form]
     return result
+
+
+# ---- scene descriptions that know the file they come from ------------------------------------
+
+
+class Document(dict[str, Any]):
+    """The dict of a scene file: an ordinary description, whose errors name the file and the line.
+
+    Args:
+        description: the description.
+        name: the scene's name, for messages and output files.
+        places: file and line by path: of nodes (``sensor.film``; the root is the empty path) and of
+            their entries (``sensor.film.width``).
+        directories: where relative names of files are looked up, besides the working directory.
+        root: the directory that an untrusted scene may not leave, or None.
+    """
+
+    def __init__(
+        self,
+        description: Mapping[str, Any],
+        name: str = "scene",
+        places: Mapping[str, str] | None = None,
+        directories: tuple[Path, ...] = (),
+        root: Path | None = None,
+    ) -> None:
+        super().__init__(description)
+        self.name = name
+        self.places = dict(places or {})
+        self.directories = directories
+        self.root = root
+
+    def copy(self) -> Document:
+        """A shallow copy that keeps the name, the places and the directories."""
+        return Document(self, self.name, self.places, self.directories, self.root)
+
+
+# ---- the files that a description names ------------------------------------------------------
+
+
+def named_files(description: Mapping[str, Any]) -> dict[str, Path]:
+    """The files that nodes name by ``filename``, by that name; names without a file are left out."""
+    folders = (Path(), *(description.directories if isinstance(description, Document) else ()))
+    found = {}
+    for name in of(description):
+        places = [folder / name for folder in folders if (folder / name).is_file()]
+        if places:
+            found[name] = places[0]
+    return found
+
+
+def files_of(description: Mapping[str, Any]) -> list[Path]:
+    """The files that a description came from, and those that its nodes name; none for a dict that names none."""
+    places = description.places.values() if isinstance(description, Document) else ()
+    written = [Path(place.rpartition(":")[0]) for place in places]
+    return [path for path in dict.fromkeys([*written, *named_files(description).values()]) if path.is_file()]
+
+
+def with_files(description: Mapping[str, Any], files: Mapping[str, str]) -> dict[str, Any]:
+    """A copy of a description that names other files in place of some."""
+    result = description.copy() if isinstance(description, Document) else dict(description)
+    for key, value in description.items():
+        if isinstance(value, Mapping):
+            result[key] = with_files(value, files)
+        elif key == "filename" and isinstance(value, (str, os.PathLike)):
+            result[key] = files.get(os.fspath(value), value)
+    return result
+
+
+def of(node: Mapping[str, Any]) -> Iterator[str]:
+    """The values of ``filename`` in a description."""
+    for key, value in node.items():
+        if isinstance(value, Mapping):
+            yield from of(value)
+        elif key == "filename" and isinstance(value, (str, os.PathLike)):
+            yield os.fspath(value)
+
+
+# ---- files of spectra ------------------------------------------------------------------------
+
+NUMBER = r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?"
+"""A number as text; what Python takes for one is written in other ways as well (nan, 1_000)."""
+
+
+def read_pairs(filename: str | os.PathLike[str]) -> tuple[list[float], list[float]]:
+    """Wavelengths and values in a text file (spd): two numbers a line, apart by spaces or commas; # begins a comment.
+
+    Raises:
+        FileError: The file can't be read, or a line has other than two numbers.
+    """
+    name = as_path(filename)
+    try:
+        lines = [line.partition("#")[0].strip() for line in read_bytes(name).decode("utf-8").splitlines()]
+    except UnicodeError:
+        raise FileError(f"can't read '{name}': it isn't a text file") from None
+    wavelengths, values = [], []
+    for number, line in enumerate(lines, 1):
+        if not line:
+            continue
+        words = re.split(r"[,\s]+", line)
+        # What is found isn't quoted: an untrusted scene may name any file.
+        if len(words) != 2 or not all(re.fullmatch(NUMBER, word, re.ASCII) for word in words):
+            raise FileError(f"{name}:{number}: must be two numbers, a wavelength and a value")
+        if max(abs(float(word)) for word in words) > LARGEST:
+            raise FileError(f"{name}:{number}: must be finite in single precision")
+        wavelengths.append(float(words[0]))
+        values.append(float(words[1]))
+    return wavelengths, values

@@ -1,7 +1,8 @@
-"""The conversion of a dict to plugins: names, nested nodes, references."""
+"""The conversion of a dict, or of a scene file, to plugins: names, nested nodes, references."""
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
@@ -9,16 +10,44 @@ from typing import Any
 
 from djpt.core.limits import MAX_DEPTH, MAX_NAME, MAX_NODES, MAX_PARTS
 from djpt.core.numeric import describe
-from djpt.description.document import Document
-from djpt.description.files import FileResolver, file_resolver, reading_once
-from djpt.description.fitting import fitting_kinds
-from djpt.description.merging import Merging
+from djpt.description.files import Document, FileResolver, file_resolver, reading_once
 from djpt.description.plugin import Plugin
-from djpt.description.properties import Properties
+from djpt.description.properties import Merging, Properties
 from djpt.description.registry import kind_of, lookup
 from djpt.errors import SceneError, near_miss
 
-__all__ = ["Loader", "load_dict"]
+__all__ = ["Loader", "load_dict", "load_file", "load_string"]
+
+NESTED: dict[str, tuple[str, ...]] = {
+    "scene": (
+        *("sensor", "integrator", "bsdf", "texture", "emitter", "shape", "sampler", "film", "rfilter"),
+        *("medium", "phase", "volume"),
+    ),
+    "shape": ("bsdf", "emitter", "sensor", "medium", "texture", "shape"),
+    "sensor": ("film", "sampler", "medium", "texture", "sensor", "shape"),
+    "film": ("rfilter",),
+    "bsdf": ("texture", "bsdf"),
+    "emitter": ("texture", "medium"),
+    "medium": ("volume", "phase", "texture"),
+    "phase": ("volume", "phase", "texture"),
+    "volume": ("texture", "volume"),
+    "texture": ("texture", "volume"),
+    "integrator": ("integrator",),
+}
+"""The kinds that a plugin of each kind holds."""
+
+PLACES = {"interior": "medium", "exterior": "medium", "target": "shape"}
+"""The kinds of nodes whose keys mean one kind; so do keys that are named after a kind, such as ``integrator``."""
+
+
+def fitting_kinds(parent: Mapping[str, Any] | None, key: str) -> tuple[str, ...] | None:
+    """The kinds of plugins that fit under a key of a node; None if any may."""
+    held = NESTED.get(kind_of(str(parent.get("type"))) or "") if parent is not None else None
+    meant = PLACES.get(key, key)
+    return (meant,) if held is not None and meant in held else held
+
+
+# ---- the conversion --------------------------------------------------------------------------
 
 
 def load_dict(dict: Mapping[str, Any], parallel: bool = True, optimize: bool = True) -> Any:
@@ -220,7 +249,9 @@ class Loader:
                 key = self._own_name(below) if name == "scene" else key
                 parts = value.expand()
                 taken = {*node, *values, *expanded} - {key}
-                named = {key: value} if parts == [value] else named_parts(parts, key, taken)
+                named = {key: value}
+                if parts != [value]:
+                    named = {f"{key}.{i}" if part.id() in taken else part.id(): part for i, part in enumerate(parts)}
                 # Several parts come last, as in Mitsuba.
                 (expanded if len(named) > 1 else values).update(named)
                 if is_description:
@@ -281,6 +312,57 @@ def node_count(node: Mapping[str, Any], known: dict[int, int], depth: int) -> in
     return known[id(node)]
 
 
-def named_parts(parts: list[Plugin], key: str, taken: set[str]) -> dict[str, Plugin]:
-    """The plugins that stand in the place of a nested one, by name: see `Plugin.expand`."""
-    return {f"{key}.{i}" if part.id() in taken else part.id(): part for i, part in enumerate(parts)}
+# ---- Mitsuba's XML ---------------------------------------------------------------------------
+
+
+def load_file(
+    path: str | os.PathLike[str],
+    parallel: bool = True,
+    optimize: bool = True,
+    *,
+    trusted: bool = True,
+    root: str | os.PathLike[str] | None = None,
+    **parameters: Any,
+) -> Any:
+    """Build a scene, or any other plugin, from an XML file of Mitsuba 3.
+
+    File names in it are looked up in its own directory first, then in the working directory.
+
+    Args:
+        path: the file.
+        parallel: accepted for Mitsuba's signature, no effect.
+        optimize: false for lights that are numbered in the file's order: see `djpt.load_dict`.
+        trusted: false for a scene of a stranger: it may read files in `root` only, whatever names, links or
+            includes it has. See SECURITY.md for what else is promised.
+        root: that directory; default: the one of the file.
+        parameters: values for the ``$name`` of the file: strings, numbers, booleans. They win over the
+            file's ``<default>``.
+
+    Returns:
+        A `djpt.Scene` if the outermost tag is ``<scene>``, else the plugin.
+
+    Raises:
+        FileError: the file can't be read.
+        SceneError: the scene is wrong, a parameter is missing or unused; the message names file and line.
+    """
+    from djpt.description.xml.reading import read_file  # dicts need no parser
+
+    return load_dict(read_file(path, trusted=trusted, root=root, **parameters), parallel, optimize)
+
+
+def load_string(
+    value: str | bytes,
+    parallel: bool = True,
+    optimize: bool = True,
+    *,
+    trusted: bool = True,
+    root: str | os.PathLike[str] | None = None,
+    **parameters: Any,
+) -> Any:
+    """Build a scene, or any other plugin, from the text of an XML file: see `load_file`.
+
+    File names are looked up in the working directory, which is also the default of `root`.
+    """
+    from djpt.description.xml.reading import read_string  # dicts need no parser
+
+    return load_dict(read_string(value, trusted=trusted, root=root, **parameters), parallel, optimize)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import builtins
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import contextlib
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import drjit as dr
@@ -12,16 +14,111 @@ from numpy.typing import NDArray
 
 from djpt.core.numeric import as_integer, as_number, as_vector, describe
 from djpt.core.transforms import ScalarTransform4f, as_transform
-from djpt.description.allowed import Allowed, bounds
 from djpt.description.entries import REQUIRED, Entries
 from djpt.description.plugin import Plugin
 from djpt.description.registry import kind_of, lookup
-from djpt.errors import SceneError, near_miss
+from djpt.errors import DjptError, SceneError, near_miss
 
 if TYPE_CHECKING:
     from djpt.textures.base import Texture
 
-__all__ = ["REQUIRED", "Properties"]
+__all__ = ["LARGEST", "REQUIRED", "Allowed", "Merging", "Properties", "bounds"]
+
+LARGEST = 1e30
+"""The bound of radiance and its like: sums of a hundred million such samples are finite in single precision."""
+
+
+@dataclass(frozen=True)
+class Allowed:
+    """A range of numbers; a bound of None is no bound."""
+
+    low: float | None = None
+    high: float | None = None
+    low_open: bool = False
+    """True if `low` itself is outside of the range."""
+
+    def within(self, other: Allowed) -> Allowed:
+        """The intersection of two ranges."""
+        lows = [x for x in (self.low, other.low) if x is not None]
+        highs = [x for x in (self.high, other.high) if x is not None]
+        low = max(lows, default=None)
+        low_open = any(a.low_open and a.low == low for a in (self, other))
+        return Allowed(low, min(highs, default=None), low_open)
+
+    def require(self, numbers: NDArray[Any], where: str = "") -> None:
+        """Raise `SceneError` if a number lies outside; `where` starts the message."""
+        # Numbers may be float32, which rounds 0.1 up: the bounds are compared as float32, too.
+        smallest = -np.inf if self.low is None else np.float32(self.low)
+        largest = np.inf if self.high is None else np.float32(self.high)
+        # Nearly always the extremes tell; a NaN among them doesn't.
+        if numbers.size and numbers.max() <= largest:
+            least = numbers.min()
+            if least > smallest or (least == smallest and not self.low_open):
+                return
+        outside = numbers[(numbers <= smallest if self.low_open else numbers < smallest) | (numbers > largest)]
+        if outside.size:
+            raise SceneError(f"{where} must {self._missed_by(outside[0])}, found {outside[0]:.6g}".lstrip())
+
+    def _missed_by(self, number: float) -> str:
+        """The range in words; of `LARGEST`, which only the largest numbers miss, only those hear."""
+        if self.high != LARGEST:
+            return bounds(self.low, self.high, self.low_open)
+        return bounds(None, self.high) if number > LARGEST else bounds(self.low, None, self.low_open)
+
+
+def bounds(low: float | None, high: float | None, low_open: bool = False, high_open: bool = False) -> str:
+    """Put a range in words: ``lie in [0, 1]``, ``be at least 1``, ``be greater than 0``."""
+    if low is not None and high is not None:
+        return f"lie in {'(' if low_open else '['}{low:g}, {high:g}{')' if high_open else ']'}"
+    if low is not None:
+        return f"be {'greater than' if low_open else 'at least'} {low:g}"
+    return f"be {'less than' if high_open else 'at most'} {high:g}"
+
+
+# ---- plugins that are described alike --------------------------------------------------------
+
+
+APART = ("shape", "emitter")
+"""The kinds of plugins of which each stays itself, however alike their descriptions are."""
+
+
+@dataclass
+class Merging:
+    """The plugins that a loader has built from descriptions, and which of them are alike.
+
+    Mitsuba makes one object of all nodes of equal type and equal entries; their names don't count. Here each node
+    stays a plugin of its own, and `alike` tells which would have been one.
+    """
+
+    keys: set[str] = field(default_factory=set)
+    """The keys of a scene's entries that are described, rather than plugins that existed before."""
+    first: dict[int, int] = field(default_factory=dict)
+    """By the `id()` of a plugin, that of the first one that is described alike."""
+    known: dict[Hashable, int] = field(default_factory=dict)
+    """The first plugin of each description."""
+
+    def note(self, plugin: Plugin, type_name: str, values: Mapping[str, Any]) -> None:
+        """Note a plugin that was built from a node of this type with these entries, nested plugins among them."""
+        if plugin.kind not in APART:
+            entries = frozenset((key, self.content(value)) for key, value in values.items())
+            self.first[id(plugin)] = self.known.setdefault((type_name, entries), id(plugin))
+
+    def content(self, value: Any) -> Hashable:
+        """A key that equal entries share. Arrays and other objects are equal to themselves alone."""
+        if isinstance(value, Plugin):
+            return Plugin, self.alike(value)
+        if isinstance(value, (bool, int, float, str)):
+            return type(value), value
+        if isinstance(value, (list, tuple)):
+            return tuple, tuple(map(self.content, value))
+        return object, id(value)
+
+    def alike(self, plugin: Any) -> int:
+        """A number that a plugin shares with those that are described alike."""
+        return self.first.get(id(plugin), id(plugin))
+
+
+# ---- the view --------------------------------------------------------------------------------
 
 
 class Properties(Entries):
@@ -37,7 +134,7 @@ class Properties(Entries):
         id: the value of `Plugin.id`; default: `node`.
         place: gives the text that replaces `node` in messages about the entry of a key; default: `node`.
         merging: what Mitsuba's loader would merge, if `load_dict` was told to optimise, for `djpt.Scene`: a
-            `djpt.description.merging.Merging`.
+            `djpt.description.properties.Merging`.
     """
 
     def __init__(
@@ -47,7 +144,7 @@ class Properties(Entries):
         values: Mapping[str, Any] | None = None,
         id: str | None = None,
         place: Callable[[str], str] | None = None,
-        merging: Any = None,
+        merging: Merging | None = None,
     ) -> None:
         super().__init__(plugin_name, node, values, id)
         self._place_of = place
@@ -64,6 +161,14 @@ class Properties(Entries):
     def error(self, key: str, problem: str) -> SceneError:
         """Make the error to raise for an entry: ``scene.x: 'fov' must be a float, found str 'abc'``."""
         return SceneError(f"{self._place(key)}: '{key}' {problem}")
+
+    @contextlib.contextmanager
+    def naming(self, key: str) -> Iterator[None]:
+        """Make errors about a value those of an entry, see `error`."""
+        try:
+            yield
+        except DjptError as error:
+            raise self.error(key, str(error)) from None
 
     def _place(self, key: str) -> str:
         return self.node if self._place_of is None else self._place_of(key)

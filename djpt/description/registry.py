@@ -4,7 +4,10 @@ The last line of a plugin's file registers it, in djpt as in a user's own packag
 
     register_bsdf("diffuse", Diffuse)
 
-Those of installed packages are found by entry points: see `djpt.description.entry_points`.
+A package lists its plugins in its ``pyproject.toml``, with the module that registers each when it is imported::
+
+    [project.entry-points."djpt.plugins"]
+    "bsdf.chalk" = "chalk_and_cheese.chalk"
 
 A factory takes the checked `Properties` of a node and returns a `Plugin`; usually it is
 the plugin's class. A name belongs to one kind, as in Mitsuba.
@@ -12,22 +15,33 @@ the plugin's class. A name belongs to one kind, as in Mitsuba.
 
 from __future__ import annotations
 
+import functools
 import importlib
-from collections.abc import Callable, Collection
-from typing import Any
+import re
+import sys
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from djpt.description.entry_points import entries, load
-from djpt.description.mitsuba_plugins import LACKING, mitsuba_kind_of
-from djpt.description.own_plugins import PACKAGES, plugin_module, plugin_modules
 from djpt.errors import SceneError, near_miss
 
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
+
 __all__ = [
-    "Factory",
+    "LACKING",
+    "MITSUBA",
+    "PACKAGES",
+    "entries",
     "kind_of",
+    "load",
     "lookup",
     "mitsuba_kind_of",
     "name_of",
     "names",
+    "plugin_modules",
     "register",
     "register_bsdf",
     "register_emitter",
@@ -86,69 +100,40 @@ def is_own(factory: Factory) -> bool:
     return str(getattr(factory, "__module__", "")).rpartition(".")[0] in PACKAGES
 
 
-def register_bsdf(name: str, constructor: Factory) -> None:
-    """Register a scattering model; `constructor(props)` returns a `djpt.materials.BSDF`."""
-    register("bsdf", name, constructor)
+def registering(kind: str, what: str) -> Callable[[str, Factory], None]:
+    """The function that registers plugins of a kind; `what` they are, for its documentation."""
+
+    def function(name: str, constructor: Factory) -> None:
+        register(kind, name, constructor)
+
+    function.__name__ = function.__qualname__ = f"register_{kind}"
+    function.__doc__ = f"Register {what}."
+    return function
 
 
-def register_emitter(name: str, constructor: Factory) -> None:
-    """Register a light source; `constructor(props)` returns a `djpt.emitters.Emitter`."""
-    register("emitter", name, constructor)
-
-
-def register_film(name: str, constructor: Factory) -> None:
-    """Register a film; `constructor(props)` returns a plugin of kind `film`."""
-    register("film", name, constructor)
-
-
-def register_integrator(name: str, constructor: Factory) -> None:
-    """Register an estimator; `constructor(props)` returns a `djpt.integrators` integrator."""
-    register("integrator", name, constructor)
-
-
-def register_medium(name: str, constructor: Factory) -> None:
-    """Register a participating medium; `constructor(props)` returns a plugin of kind `medium`."""
-    register("medium", name, constructor)
-
-
-def register_phase(name: str, constructor: Factory) -> None:
-    """Register a phase function; `constructor(props)` returns a `djpt.phase.PhaseFunction`."""
-    register("phase", name, constructor)
-
-
-def register_rfilter(name: str, constructor: Factory) -> None:
-    """Register a reconstruction filter; `constructor(props)` returns a plugin of kind `rfilter`."""
-    register("rfilter", name, constructor)
-
-
-def register_sampler(name: str, constructor: Factory) -> None:
-    """Register a source of sample points; `constructor(props)` returns a `djpt.samplers.Sampler`."""
-    register("sampler", name, constructor)
-
-
-def register_scene(name: str, constructor: Factory) -> None:
-    """Register a kind of scene; `constructor(props)` returns a `djpt.Scene`."""
-    register("scene", name, constructor)
-
-
-def register_sensor(name: str, constructor: Factory) -> None:
-    """Register a camera; `constructor(props)` returns a plugin of kind `sensor`."""
-    register("sensor", name, constructor)
-
-
-def register_shape(name: str, constructor: Factory) -> None:
-    """Register a shape; `constructor(props)` returns a `djpt.shapes.Shape`."""
-    register("shape", name, constructor)
-
-
-def register_texture(name: str, constructor: Factory) -> None:
-    """Register a texture; `constructor(props)` returns a `djpt.textures.Texture`."""
-    register("texture", name, constructor)
-
-
-def register_volume(name: str, constructor: Factory) -> None:
-    """Register a volume of numbers or colours; `constructor(props)` returns a `djpt.volumes.Volume`."""
-    register("volume", name, constructor)
+register_bsdf = registering("bsdf", "a scattering model; `constructor(props)` returns a `djpt.materials.BSDF`")
+register_emitter = registering("emitter", "a light source; `constructor(props)` returns a `djpt.emitters.Emitter`")
+register_film = registering("film", "a film; `constructor(props)` returns a plugin of kind `film`")
+register_integrator = registering(
+    "integrator", "an estimator; `constructor(props)` returns a `djpt.integrators` integrator"
+)
+register_medium = registering(
+    "medium", "a participating medium; `constructor(props)` returns a plugin of kind `medium`"
+)
+register_phase = registering("phase", "a phase function; `constructor(props)` returns a `djpt.phase.PhaseFunction`")
+register_rfilter = registering(
+    "rfilter", "a reconstruction filter; `constructor(props)` returns a plugin of kind `rfilter`"
+)
+register_sampler = registering(
+    "sampler", "a source of sample points; `constructor(props)` returns a `djpt.samplers.Sampler`"
+)
+register_scene = registering("scene", "a kind of scene; `constructor(props)` returns a `djpt.Scene`")
+register_sensor = registering("sensor", "a camera; `constructor(props)` returns a plugin of kind `sensor`")
+register_shape = registering("shape", "a shape; `constructor(props)` returns a `djpt.shapes.Shape`")
+register_texture = registering("texture", "a texture; `constructor(props)` returns a `djpt.textures.Texture`")
+register_volume = registering(
+    "volume", "a volume of numbers or colours; `constructor(props)` returns a `djpt.volumes.Volume`"
+)
 
 
 def registered(kind: str | None = None) -> dict[str, Factory]:
@@ -243,3 +228,181 @@ def _import_own_packages() -> None:
     except ImportError:
         _own_packages_imported = False  # so that the next call raises the same error
         raise
+
+
+# ---- djpt's own plugins by name, read from the sources so that nothing is imported -----------
+
+
+PACKAGES = (
+    "djpt.textures",
+    "djpt.materials",
+    "djpt.shapes",
+    "djpt.emitters",
+    "djpt.media",
+    "djpt.phase",
+    "djpt.volumes",
+    "djpt.rfilters",
+    "djpt.films",
+    "djpt.samplers",
+    "djpt.sensors",
+    "djpt.integrators",
+    "djpt.rendering",
+)
+"""The packages that djpt's own plugins stand in. Usually a plugin's file bears its name."""
+
+LINE = re.compile(r'^register_(\w+)\("(\w+)"', re.MULTILINE)
+
+
+@dataclass(frozen=True)
+class PluginModule:
+    """The `kind` of a plugin, and the `module` that registers it when it is imported."""
+
+    kind: str
+    module: str
+
+
+@functools.cache
+def plugin_module(name: str) -> PluginModule | None:
+    """The module of djpt's plugin of that name, or None. The file of that name is read first, and usually no other."""
+    if name.isidentifier():
+        for package, folder in folders().items():
+            file = folder / f"{name}.py"
+            if file.is_file() and name in (found := modules_in(package, file)):
+                return found[name]
+    return plugin_modules().get(name)
+
+
+@functools.cache
+def plugin_modules() -> dict[str, PluginModule]:
+    """The modules of all of djpt's plugins, by name."""
+    found: dict[str, PluginModule] = {}
+    for package, folder in folders().items():
+        for file in sorted(folder.glob("*.py")):
+            found |= modules_in(package, file)
+    return found
+
+
+@functools.cache
+def folders() -> dict[str, Path]:
+    """The folders of the packages; a package of plugins is on disk, as djpt is."""
+    spec = find_spec("djpt")
+    assert spec is not None and spec.submodule_search_locations
+    djpt = Path(spec.submodule_search_locations[0])
+    return {package: djpt.joinpath(*package.split(".")[1:]) for package in PACKAGES}
+
+
+def modules_in(package: str, file: Path) -> dict[str, PluginModule]:
+    """The modules of the plugins that a file of a package registers."""
+    lines = LINE.findall(file.read_text(encoding="utf-8"))
+    return {name: PluginModule(kind, f"{package}.{file.stem}") for kind, name in lines}
+
+
+# ---- plugins of installed packages, found by entry points ------------------------------------
+
+
+GROUP = "djpt.plugins"
+"""The group of entry points that packages list their plugins in."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """The `kind` and `name` of a plugin, the entry `point` of the module that registers it, and its `distribution`."""
+
+    kind: str
+    name: str
+    point: EntryPoint
+    distribution: str
+
+    def __str__(self) -> str:
+        return f"the entry point '{self.point.name} = {self.point.value}' of the package '{self.distribution}'"
+
+
+def entries() -> dict[str, Entry]:
+    """The entries of all packages that can be imported now, by the plugin's name.
+
+    Raises:
+        SceneError: An entry isn't called ``kind.name``, or two packages have a plugin of one name.
+    """
+    return found_on(tuple(sys.path))
+
+
+@functools.cache
+def found_on(path: Sequence[str]) -> dict[str, Entry]:
+    """`entries` of the packages on a search path, which is read once."""
+    # Takes as long to import as all else that a small scene needs; most sessions never ask.
+    from importlib.metadata import distributions
+
+    found: dict[str, Entry] = {}
+    for distribution in distributions(path=list(path)):
+        for point in distribution.entry_points.select(group=GROUP):
+            kind, _, name = point.name.partition(".")
+            entry = Entry(kind, name, point, distribution.name)
+            if not (kind.isidentifier() and name):
+                raise SceneError(
+                    f"the package '{entry.distribution}' has an entry point '{point.name}' in the group '{GROUP}'; "
+                    "expected a kind and a name, such as 'bsdf.chalk'"
+                )
+            # The first on the path hides others of its name, as with imports.
+            if found.setdefault(name, entry).distribution != entry.distribution:
+                raise SceneError(f"two packages have a plugin '{name}': {found[name]}, and {entry}")
+    return found
+
+
+def load(entry: Entry) -> None:
+    """Import the module of an entry, which registers its plugin.
+
+    Raises:
+        SceneError: It can't be imported.
+    """
+    try:
+        entry.point.load()
+    except Exception as error:
+        raise SceneError(f"{entry} can't be imported: {type(error).__name__}: {error}") from error
+
+
+# ---- the plugins of Mitsuba 3.9.1 ------------------------------------------------------------
+
+
+MITSUBA = {
+    "bsdf": (
+        "blendbsdf bumpmap circular conductor dielectric diffuse hair mask measured measured_polarized normalmap null "
+        "plastic polarizer pplastic principled principledthin retarder roughconductor roughdielectric roughplastic "
+        "thindielectric twosided"
+    ),
+    "emitter": "area constant directional directionalarea envmap point projector spot sunsky timed_sunsky",
+    "shape": (
+        "blender bsplinecurve cube cylinder disk ellipsoids ellipsoidsmesh instance linearcurve merge obj ply "
+        "rectangle sdfgrid serialized shapegroup sphere"
+    ),
+    "sensor": "batch distant irradiancemeter orthographic perspective radiancemeter thinlens",
+    "film": "hdrfilm specfilm",
+    "rfilter": "box catmullrom gaussian lanczos mitchell tent",
+    "sampler": "independent ldsampler multijitter orthogonal stratified",
+    "texture": (
+        "bitmap blackbody checkerboard d65 irregular mesh_attribute rawconstant regular rgb spectrum srgb uniform "
+        "volume"
+    ),
+    "integrator": (
+        "aov depth direct direct_projective moment path prb prb_basic prb_projective prbvolpath ptracer stokes "
+        "volpath volpathmis volprim_rf_basic"
+    ),
+    "medium": "heterogeneous homogeneous",
+    "phase": "blendphase hg isotropic rayleigh sggx tabphase",
+    "volume": "constvolume gridvolume",
+}
+"""The plugins of Mitsuba 3.9.1 by kind."""
+
+LACKING = {
+    "blender": "it reads meshes in Blender's memory; export them as 'ply', 'obj' or 'serialized'",
+    "measured_polarized": (
+        "it is a table of Mueller matrices, and djpt computes no polarisation; take a 'roughconductor' or 'measured'"
+    ),
+    "specfilm": "it holds spectra, and djpt computes colours; take 'hdrfilm'",
+    "stokes": "it shows polarisation, which djpt doesn't compute; take the integrator nested in it",
+}
+"""The plugins that djpt lacks: why, and what to do."""
+
+
+def mitsuba_kind_of(name: str) -> str | None:
+    """The kind that a name has in Mitsuba, or None."""
+    return next((kind for kind, names in MITSUBA.items() if name in names.split()), None)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from djpt.core.files import as_path, read_bytes, writing
 from djpt.errors import FileError
 
-__all__ = ["TensorField", "read_tensors", "tensor_fields", "write_tensors"]
+__all__ = ["read_tensors", "tensor_fields", "write_tensors"]
 
 HEADER = b"tensor_file\0\x01\x00"
 TYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "uint64", "int64", "float16", "float32", "float64")

@@ -12,7 +12,7 @@ import numpy as np
 
 from djpt.core.lookup import MAX_CHAIN, Members, Numbers, choose, is_one_of, runs
 from djpt.core.records import DirectionSample3f, Ray3f, Record
-from djpt.core.records.scene_ref import SceneRef, only
+from djpt.core.records.record import SceneRef, only
 from djpt.description.plugin import Plugin
 from djpt.dispatch.ensemble import Detached, Ensemble, Lookup
 from djpt.dispatch.followed import followed

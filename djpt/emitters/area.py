@@ -19,9 +19,8 @@ from djpt.core.records import (
     SurfaceInteraction3f,
 )
 from djpt.core.warp import square_to_cosine_hemisphere
-from djpt.description.allowed import LARGEST
 from djpt.description.plugin import TraversalCallback
-from djpt.description.properties import Properties
+from djpt.description.properties import LARGEST, Properties
 from djpt.description.registry import register_emitter
 from djpt.emitters.base import Emitter
 from djpt.emitters.bounds import LightBounds

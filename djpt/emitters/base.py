@@ -16,15 +16,14 @@ from djpt.core.records import (
     SurfaceInteraction3f,
     has_flag,
 )
-from djpt.description.frame_change import NotMovable
-from djpt.description.plugin import TraversalCallback
+from djpt.description.plugin import NotMovable, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.emitters.bounds import LightBounds
 from djpt.emitters.mitsuba_api import EmitterQuestions
 from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, Vector3f
 
 if TYPE_CHECKING:
-    from djpt.description.frame_change import Frame
+    from djpt.description.plugin import Frame
 
 __all__ = ["Emitter"]
 

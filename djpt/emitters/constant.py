@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from djpt.core.frame import Frame3f
 from djpt.core.records import DirectionSample3f, EmissionSample, EmitterFlags, Observer, Ray3f, SurfaceInteraction3f
 from djpt.core.warp import square_to_cosine_hemisphere, square_to_uniform_sphere
-from djpt.description.allowed import LARGEST
 from djpt.description.plugin import ParamFlags, TraversalCallback
-from djpt.description.properties import Properties
+from djpt.description.properties import LARGEST, Properties
 from djpt.description.registry import register_emitter
 from djpt.emitters.base import Emitter
 from djpt.emitters.bounds import LightBounds

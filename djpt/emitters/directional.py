@@ -14,9 +14,8 @@ from djpt.core.frame import coordinate_system
 from djpt.core.records import DirectionSample3f, EmissionSample, EmitterFlags, Observer, Ray3f, SurfaceInteraction3f
 from djpt.core.transforms import ScalarTransform4f
 from djpt.core.warp import square_to_uniform_disk_concentric
-from djpt.description.allowed import LARGEST
 from djpt.description.plugin import ParamFlags
-from djpt.description.properties import Properties
+from djpt.description.properties import LARGEST, Properties
 from djpt.description.registry import register_emitter
 from djpt.emitters.bounds import LightBounds
 from djpt.emitters.extent import mean_of, number

@@ -7,9 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.core.records import DirectionSample3f, EmissionSample, EmitterFlags, Observer, Ray3f, SurfaceInteraction3f
-from djpt.description.allowed import LARGEST
 from djpt.description.plugin import TraversalCallback
-from djpt.description.properties import Properties
+from djpt.description.properties import LARGEST, Properties
 from djpt.description.registry import register_emitter
 from djpt.emitters.base import Emitter
 from djpt.emitters.bounds import LightBounds

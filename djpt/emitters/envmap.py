@@ -14,9 +14,8 @@ from djpt.core.frame import Frame3f
 from djpt.core.numeric import non_negative
 from djpt.core.records import DirectionSample3f, EmissionSample, EmitterFlags, Observer, Ray3f, SurfaceInteraction3f
 from djpt.core.warp import square_to_uniform_disk_concentric
-from djpt.description.allowed import LARGEST, Allowed
 from djpt.description.plugin import ParamFlags, TraversalCallback
-from djpt.description.properties import Properties
+from djpt.description.properties import LARGEST, Allowed, Properties
 from djpt.description.registry import register_emitter
 from djpt.distributions import Hierarchical2D
 from djpt.distributions.grids import luminance, side_by_side

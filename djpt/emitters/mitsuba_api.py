@@ -20,7 +20,7 @@ from djpt.core.records import (
     has_flag,
 )
 from djpt.core.records.record import Wavelengths
-from djpt.description.endpoint import Endpoint
+from djpt.description.plugin import Endpoint
 from djpt.errors import SceneError
 from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f
 

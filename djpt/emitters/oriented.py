@@ -16,7 +16,7 @@ from djpt.jit.kernels import as_vector
 from djpt.jit.types import Point2f, Vector3f
 
 if TYPE_CHECKING:
-    from djpt.description.frame_change import Frame
+    from djpt.description.plugin import Frame
 
 __all__ = ["OnImage", "OrientedEmitter"]
 

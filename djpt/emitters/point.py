@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from djpt.core.numeric import as_array
 from djpt.core.records import DirectionSample3f, EmissionSample, EmitterFlags, Observer, Ray3f, SurfaceInteraction3f
 from djpt.core.warp import square_to_uniform_sphere
-from djpt.description.allowed import LARGEST
 from djpt.description.plugin import ParamFlags
-from djpt.description.properties import Properties
+from djpt.description.properties import LARGEST, Properties
 from djpt.description.registry import register_emitter
 from djpt.emitters.base import Emitter
 from djpt.emitters.bounds import LightBounds
@@ -24,7 +23,7 @@ from djpt.errors import SceneError
 from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
 
 if TYPE_CHECKING:
-    from djpt.description.frame_change import Frame
+    from djpt.description.plugin import Frame
 
 __all__ = ["PointLight", "from_point", "towards_point"]
 

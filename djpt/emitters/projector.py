@@ -10,9 +10,8 @@ import drjit as dr
 
 from djpt.core.numeric import as_array, non_negative
 from djpt.core.records import DirectionSample3f, EmissionSample, EmitterFlags, Observer, Ray3f, SurfaceInteraction3f
-from djpt.description.allowed import LARGEST
 from djpt.description.plugin import ParamFlags
-from djpt.description.properties import Properties
+from djpt.description.properties import LARGEST, Properties
 from djpt.description.registry import register_emitter
 from djpt.emitters.bounds import LightBounds
 from djpt.emitters.extent import mean_of, number
@@ -25,7 +24,7 @@ from djpt.sensors.projective import horizontal_fov
 from djpt.textures.bitmap import Bitmap
 
 if TYPE_CHECKING:
-    from djpt.description.frame_change import Frame
+    from djpt.description.plugin import Frame
 
 __all__ = ["Projector"]
 

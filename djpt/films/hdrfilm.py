@@ -8,17 +8,34 @@ from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 
+from djpt.core.color import LUMINANCE, RGB_TO_XYZ
 from djpt.description.properties import Properties
 from djpt.description.registry import register_film
 from djpt.errors import RenderError
 from djpt.films.base import Film, FilmFlags
-from djpt.films.pixel_formats import CHANNELS, ROWS
 from djpt.jit.types import Bool, Color3f, Float, TensorXf, UInt32
 
 if TYPE_CHECKING:
     from djpt.films.image_block import ImageBlock
 
 __all__ = ["HDRFilm"]
+
+CHANNELS = {
+    "rgb": ("R", "G", "B"),
+    "rgba": ("R", "G", "B", "A"),
+    "luminance": ("Y",),
+    "luminance_alpha": ("Y", "A"),
+    "xyz": ("X", "Y", "Z"),
+    "xyza": ("X", "Y", "Z", "A"),
+}
+"""The names of the channels of a pixel format; A is the fraction of samples that are covered."""
+
+ROWS = {"luminance": (LUMINANCE,), "luminance_alpha": (LUMINANCE,), "xyz": RGB_TO_XYZ, "xyza": RGB_TO_XYZ}
+"""The weights of red, green and blue in each channel, for formats that don't store these three."""
+
+
+# ---- the film --------------------------------------------------------------------------------
+
 
 EXTENSIONS = {"openexr": ".exr", "exr": ".exr", "rgbe": ".hdr", "pfm": ".pfm"}
 

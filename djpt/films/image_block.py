@@ -7,6 +7,7 @@ from typing import Any, overload
 
 import drjit as dr
 
+from djpt.core.forms import accessors
 from djpt.errors import RenderError
 from djpt.jit.kernels import opaque
 from djpt.jit.types import (
@@ -132,37 +133,10 @@ class ImageBlock:
         """The reconstruction filter, or None."""
         return self._rfilter
 
-    def normalize(self) -> bool:
-        """True if each sample's weights are made to sum up to 1."""
-        return self._normalize
-
-    def set_normalize(self, value: bool) -> None:
-        """Change `normalize` for samples to come."""
-        self._normalize = bool(value)
-
-    def coalesce(self) -> bool:
-        """True if all pixels about the sample's own get a weight."""
-        return self._coalesce
-
-    def set_coalesce(self, value: bool) -> None:
-        """Change `coalesce` for samples to come."""
-        self._coalesce = bool(value)
-
-    def warn_negative(self) -> bool:
-        """The value of `set_warn_negative`."""
-        return self._warn_negative
-
-    def set_warn_negative(self, value: bool) -> None:
-        """Keep a value; nothing is reported."""
-        self._warn_negative = bool(value)
-
-    def warn_invalid(self) -> bool:
-        """The value of `set_warn_invalid`."""
-        return self._warn_invalid
-
-    def set_warn_invalid(self, value: bool) -> None:
-        """Keep a value; nothing is reported."""
-        self._warn_invalid = bool(value)
+    normalize, set_normalize = accessors("_normalize", "Whether the weights of each sample to come sum up to 1.")
+    coalesce, set_coalesce = accessors("_coalesce", "Whether all pixels about a sample's own get a weight.")
+    warn_negative, set_warn_negative = accessors("_warn_negative", "Kept for scripts; nothing is reported.")
+    warn_invalid, set_warn_invalid = accessors("_warn_invalid", "Kept for scripts; nothing is reported.")
 
     def set_offset(self, offset: Sequence[int]) -> None:
         """Move the block; its sums stay as they are."""

@@ -16,17 +16,7 @@ import numpy.typing as npt
 
 from djpt.images.resampling import lanczos, resampled, taps_between
 
-__all__ = [
-    "FILLER",
-    "OF_XYZ",
-    "ORDER",
-    "RESERVED",
-    "Layers",
-    "read_attributes",
-    "read_layers",
-    "usual_names",
-    "write_layers",
-]
+__all__ = ["FILLER", "OF_XYZ", "ORDER", "RESERVED", "read_attributes", "read_layers", "usual_names", "write_layers"]
 
 Pixels = npt.NDArray[Any]
 
@@ -34,7 +24,7 @@ ORDER = "channelOrder"
 """The attribute in which `djpt.write` stores the order of channels; the format sorts them by name."""
 
 FILLER = "filler"
-"""The attribute by which a header keeps its size when the others change: see `djpt.images.exr_rows`."""
+"""The attribute by which a header keeps its size when the others change: see `djpt.images.row_files`."""
 
 RESERVED = frozenset(
     f"{ORDER} {FILLER} channels chunkCount compression dataWindow displayWindow dwaCompressionLevel envmap lineOrder "

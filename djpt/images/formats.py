@@ -31,19 +31,23 @@ __all__ = [
     "FORMATS",
     "METADATA",
     "Format",
+    "Hdr",
     "Labels",
+    "Npy",
+    "Opened",
+    "Pfm",
+    "Shape",
     "encode_jpg",
     "encode_png",
-    "hdr_header",
-    "pfm_header",
     "picture_numbers",
     "png_metadata",
-    "to_rgbe",
     "write_npy",
 ]
 
 Pixels = npt.NDArray[np.float32]
 Bytes = npt.NDArray[np.uint8]
+Shape = tuple[int, int, int]
+"""Height, width, channels."""
 
 
 class Labels(NamedTuple):
@@ -61,6 +65,41 @@ class Format(NamedTuple):
     encode: Callable[[Path, Pixels, Labels], None]
     decode: Callable[[Path], Pixels | Codes]
     """Gives linear values; those of display formats are whole numbers, encoded as sRGB."""
+
+
+# ---------------------------------------------------------------- formats that are written row by row
+
+
+class Opened:
+    """A file with a header, and rows after it."""
+
+    def __init__(self, path: Path, header: bytes) -> None:
+        self._file = path.open("wb")
+        self._file.write(header)
+
+    def add(self, rows: Pixels) -> None:
+        """Write the next rows, (rows, width, channels) of linear values."""
+        raise NotImplementedError
+
+    def close(self, labels: Labels) -> None:
+        self.release()
+
+    def release(self) -> None:
+        self._file.close()
+
+
+def by_rows(kind: Callable[[Path, Shape, Labels], Opened]) -> Callable[[Path, Pixels, Labels], None]:
+    """The encoder of a format that is written row by row."""
+
+    def encode(path: Path, image: Pixels, labels: Labels) -> None:
+        file = kind(path, image.shape, labels)
+        try:
+            for strip in strips(image):
+                file.add(image[strip])
+        finally:
+            file.release()
+
+    return encode
 
 
 # ---------------------------------------------------------------- OpenEXR
@@ -92,23 +131,21 @@ def _read_exr(path: Path) -> Pixels:
 # ---------------------------------------------------------------- Radiance RGBE
 
 
-def _write_hdr(path: Path, image: Pixels, labels: Labels) -> None:
-    """Write Radiance RGBE (Ward, *Real Pixels*, Graphics Gems II), flat scanlines.
+class Hdr(Opened):
+    """Radiance RGBE (Ward, *Real Pixels*, Graphics Gems II), flat scanlines.
 
     Three 8-bit mantissas share one exponent: relative error 2^-8 of the largest channel.
     Mantissas are rounded (not truncated) for readers that compute `m * 2^(e - 136)`, which
     most do. Negative values and NaN become 0.
     """
-    height, width, _ = image.shape
-    with path.open("wb") as file:
-        file.write(hdr_header(width, height))
-        for strip in strips(image):
-            file.write(to_rgbe(image[strip]).data)
 
+    def __init__(self, path: Path, shape: Shape, labels: Labels) -> None:
+        header = f"#?RADIANCE\nSOFTWARE=djpt\nFORMAT=32-bit_rle_rgbe\n\n-Y {shape[0]} +X {shape[1]}\n"
+        super().__init__(path, header.encode("ascii"))
 
-def hdr_header(width: int, height: int) -> bytes:
-    """The header of a file of flat scanlines."""
-    return f"#?RADIANCE\nSOFTWARE=djpt\nFORMAT=32-bit_rle_rgbe\n\n-Y {height} +X {width}\n".encode("ascii")
+    def add(self, rows: Pixels) -> None:
+        for strip in strips(rows):
+            self._file.write(to_rgbe(rows[strip]).data)
 
 
 def to_rgbe(image: Pixels) -> Bytes:
@@ -182,18 +219,31 @@ def _rgbe_run_lengths(body: bytes, height: int, width: int) -> Bytes:
 # ---------------------------------------------------------------- PFM, NPY
 
 
-def _write_pfm(path: Path, image: Pixels, labels: Labels) -> None:
-    """Write a portable float map: bottom row first; a negative scale means little endian."""
-    height, width, count = image.shape
-    with path.open("wb") as file:
-        file.write(pfm_header(width, height, count))
-        for strip in reversed(strips(image)):
-            file.write(np.ascontiguousarray(image[strip][::-1], "<f4").data)
+class Pfm(Opened):
+    """A portable float map, whose last row comes first; a negative scale means little endian."""
+
+    def __init__(self, path: Path, shape: Shape, labels: Labels) -> None:
+        height, width, channels = shape
+        header = f"{'PF' if channels == 3 else 'Pf'}\n{width} {height}\n-1.0\n".encode("ascii")
+        super().__init__(path, header)
+        self._end = len(header) + 4 * width * height * channels
+
+    def add(self, rows: Pixels) -> None:
+        self._end -= rows.nbytes
+        self._file.seek(self._end)
+        self._file.write(np.ascontiguousarray(rows[::-1], "<f4").data)
 
 
-def pfm_header(width: int, height: int, channels: int) -> bytes:
-    """The header of a file in little endian."""
-    return f"{'PF' if channels == 3 else 'Pf'}\n{width} {height}\n-1.0\n".encode("ascii")
+class Npy(Opened):
+    """NumPy's format."""
+
+    def __init__(self, path: Path, shape: Shape, labels: Labels) -> None:
+        super().__init__(path, b"")
+        layout = {"descr": "<f4", "fortran_order": False, "shape": shape}
+        np.lib.format.write_array_header_1_0(self._file, layout)
+
+    def add(self, rows: Pixels) -> None:
+        self._file.write(np.ascontiguousarray(rows, "<f4").data)
 
 
 def _read_pfm(path: Path) -> Pixels:
@@ -208,10 +258,6 @@ def _read_pfm(path: Path) -> Pixels:
         raise ValueError(f"{len(body)} bytes of pixels for {width} x {height} x {count}")
     pixels = np.frombuffer(body, "<f4" if float(scale) < 0 else ">f4").reshape(height, width, count)
     return pixels[::-1].astype(np.float32)
-
-
-def _write_npy(path: Path, image: Pixels, labels: Labels) -> None:
-    write_npy(path, image)
 
 
 def write_npy(path: Path, array: npt.NDArray[Any]) -> None:
@@ -278,10 +324,6 @@ def _picture(pixels: Bytes) -> Picture:
     return Image.frombuffer(_MODES[count], (width, height), np.ascontiguousarray(pixels), "raw", _MODES[count], 0, 1)
 
 
-def _write_png(path: Path, image: Pixels, labels: Labels) -> None:
-    encode_png(path, _as_bytes(image), labels.metadata)
-
-
 def _write_jpg(path: Path, image: Pixels, labels: Labels) -> None:
     """Write a JPEG, which has no alpha; images are premultiplied, so without it the background is black."""
     pixels = _as_bytes(image)
@@ -345,10 +387,12 @@ def _read_picture(path: Path) -> Codes | Pixels:
 
 FORMATS = {
     ".exr": Format((), _write_exr, _read_exr),
-    ".hdr": Format((3,), _write_hdr, _read_hdr),
-    ".pfm": Format((1, 3), _write_pfm, _read_pfm),
-    ".npy": Format((), _write_npy, _read_npy),
-    ".png": Format((1, 2, 3, 4), _write_png, _read_picture),
+    ".hdr": Format((3,), by_rows(Hdr), _read_hdr),
+    ".pfm": Format((1, 3), by_rows(Pfm), _read_pfm),
+    ".npy": Format((), lambda path, image, labels: write_npy(path, image), _read_npy),
+    ".png": Format(
+        (1, 2, 3, 4), lambda path, image, labels: encode_png(path, _as_bytes(image), labels.metadata), _read_picture
+    ),
     ".jpg": Format((1, 2, 3, 4), _write_jpg, _read_picture),
     ".jpeg": Format((1, 2, 3, 4), _write_jpg, _read_picture),
     ".bmp": Format((1, 3), _write_plain, _read_picture),

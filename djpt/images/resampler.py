@@ -10,6 +10,7 @@ import drjit as dr
 import numpy as np
 import numpy.typing as npt
 
+from djpt.core.forms import accessors
 from djpt.errors import SceneError
 from djpt.images.resampling import Kernel, resampled, taps_between
 from djpt.jit.types import Float
@@ -34,6 +35,12 @@ class FilterBoundaryCondition(enum.Enum):
     Mirror = 2
     Zero = 3
     One = 4
+
+
+def limits(value: tuple[float, float]) -> tuple[float, float]:
+    """The two ends of a range."""
+    low, high = value
+    return float(low), float(high)
 
 
 class Resampler:
@@ -71,22 +78,10 @@ class Resampler:
         """The number of old samples that make a new one."""
         return self._taps.weights.shape[1]
 
-    def boundary_condition(self) -> FilterBoundaryCondition:
-        """What stands beyond the ends; the default is `Clamp`."""
-        return self._boundary
-
-    def set_boundary_condition(self, value: FilterBoundaryCondition) -> None:
-        """Choose what stands beyond the ends."""
-        self._boundary = value
-
-    def clamp(self) -> tuple[float, float]:
-        """The range that results are clipped to; the default is all numbers."""
-        return self._clamp
-
-    def set_clamp(self, value: tuple[float, float]) -> None:
-        """Choose the range that results are clipped to."""
-        low, high = value
-        self._clamp = (float(low), float(high))
+    boundary_condition, set_boundary_condition = accessors(
+        "_boundary", "What stands beyond the ends; the default is `Clamp`.", FilterBoundaryCondition
+    )
+    clamp, set_clamp = accessors("_clamp", "The range that results are clipped to; the default is all numbers.", limits)
 
     def resample(self, source: Any, source_stride: int, target: Any, target_stride: int, channels: int) -> None:
         """Resample arrays of float32 with `channels` numbers per sample; `target` receives the result.

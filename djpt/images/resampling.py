@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["BOUNDARIES", "Kernel", "Taps", "lanczos", "resampled", "taps_between"]
+__all__ = ["Kernel", "lanczos", "resampled", "taps_between"]
 
 Kernel = Callable[[npt.NDArray[np.float32]], npt.NDArray[np.float32]]
 """A filter: its values at distances in samples."""

@@ -16,17 +16,7 @@ if TYPE_CHECKING:
     from PIL.ImageDraw import ImageDraw
     from PIL.ImageFont import FreeTypeFont, ImageFont
 
-__all__ = [
-    "DARK",
-    "LIGHT",
-    "Palette",
-    "Tile",
-    "captioned_rows",
-    "captioned_sheet",
-    "enlarged",
-    "fitting_font",
-    "shown",
-]
+__all__ = ["DARK", "LIGHT", "Tile", "captioned_rows", "captioned_sheet", "enlarged", "fitting_font", "shown"]
 
 Bytes = npt.NDArray[np.uint8]
 Color = tuple[int, int, int]

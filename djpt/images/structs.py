@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from djpt.core.forms import accessors
 from djpt.errors import SceneError, near_miss
 from djpt.images.srgb import decoded, encoded, from_srgb, shares, to_srgb8
 
@@ -183,21 +184,8 @@ class Struct:
         """The number of which the addresses of records are multiples: the size of the largest field, or 1."""
         return 1 if self._pack else max((entry.type.dtype.itemsize for entry in self), default=1)
 
-    def byte_order(self) -> Order:
-        """The order of the bytes of numbers."""
-        return self._order
-
-    def set_byte_order(self, order: Order) -> None:
-        """Change the order of the bytes of numbers."""
-        self._order = order
-
-    def pack(self) -> bool:
-        """Whether no bytes are left out between fields."""
-        return self._pack
-
-    def set_pack(self, pack: bool) -> None:
-        """Leave bytes out between fields that are added from now on, or not."""
-        self._pack = pack
+    byte_order, set_byte_order = accessors("_order", "The order of the bytes of numbers.", ByteOrder)
+    pack, set_pack = accessors("_pack", "Whether no bytes are left out between fields that are added from now on.")
 
     def dtype(self) -> np.dtype[Any]:
         """The structured type of NumPy's that describes the same record."""
@@ -324,7 +312,8 @@ def convert_fields(source: Struct, target: Struct, columns: Mapping[str, Numbers
     for field in source:
         if field.flags & Flags.Check and not np.all(columns[field.name] == stored_value(field)):
             raise SceneError(f"field '{field.name}' isn't {field.value:g} everywhere")
-    weight = 1 / nonzero(source, Flags.Weight, columns) if divides(source, target) else None
+    divides = has(source, Flags.Weight) and not has(target, Flags.Weight)
+    weight = 1 / nonzero(source, Flags.Weight, columns) if divides else None
     result = {}
     for field in target:
         if field.blend:
@@ -419,11 +408,6 @@ def stored_value(field: Field) -> Any:
 def has(struct: Struct, flag: Flags) -> bool:
     """Whether a field has the flag."""
     return any(field.flags & flag for field in struct)
-
-
-def divides(source: Struct, target: Struct) -> bool:
-    """Whether a conversion divides by a weight."""
-    return has(source, Flags.Weight) and not has(target, Flags.Weight)
 
 
 def only(source: Struct, flag: Flags, columns: Mapping[str, Numbers]) -> npt.NDArray[np.float32]:

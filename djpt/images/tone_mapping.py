@@ -165,11 +165,6 @@ def balance_matrix(white: float | Sequence[float]) -> Pixels:
 # ---- operators: from linear RGB (H, W, 3) >= 0 ------------------------------------------------
 
 
-def clipped(rgb: Pixels, white: float) -> Pixels:
-    """The operator `srgb`: leaves light as it is; values above 1 are clipped later."""
-    return rgb
-
-
 def reinhard(rgb: Pixels, white: float) -> Pixels:
     """The operator `reinhard`: luminance L becomes L (1 + L / white^2) / (1 + L), as a factor for all channels."""
     luminance = (rgb @ np.array(LUMINANCE) / sum(LUMINANCE))[..., None]
@@ -217,6 +212,6 @@ OPERATORS: dict[str, Callable[[Pixels, float], Pixels]] = {
     "aces": aces,
     "agx": agx,
     "reinhard": reinhard,
-    "srgb": clipped,
+    "srgb": lambda rgb, white: rgb,  # values above 1 are clipped later
 }
 """The operators by name."""

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import drjit as dr
 
 from djpt.core.records import Ray3f
-from djpt.core.records.media import MediumInteraction3f
+from djpt.core.records.interactions import MediumInteraction3f
 from djpt.description.plugin import Plugin
 from djpt.jit.types import Bool, Color3f, Float, UInt32
 from djpt.materials.base import BSDF

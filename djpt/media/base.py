@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import drjit as dr
 
 from djpt.core.records import Ray3f, SurfaceInteraction3f
-from djpt.core.records.media import MediumInteraction3f
-from djpt.description.frame_change import NotMovable
-from djpt.description.plugin import Plugin, TraversalCallback
+from djpt.core.records.interactions import MediumInteraction3f
+from djpt.description.plugin import NotMovable, Plugin, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import lookup
 from djpt.dispatch.scripted import accept_scripts
@@ -21,7 +20,7 @@ from djpt.media.flight import Flight, of_channel
 from djpt.samplers.base import SampleStream
 
 if TYPE_CHECKING:
-    from djpt.description.frame_change import Frame
+    from djpt.description.plugin import Frame
 
 __all__ = ["Medium"]
 

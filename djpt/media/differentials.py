@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any
 import drjit as dr
 
 from djpt.core.records import Ray3f
-from djpt.core.records.media import MediumInteraction3f
+from djpt.core.records.interactions import MediumInteraction3f
 from djpt.jit.kernels import maximum
 from djpt.jit.types import Bool, Color3f, Float, UInt32
 from djpt.media.flight import FAR

@@ -9,7 +9,7 @@ import drjit as dr
 
 from djpt.core.records import Ray3f
 from djpt.core.records.flags import PhaseFunctionFlags, has_flag
-from djpt.core.records.media import MediumInteraction3f
+from djpt.core.records.interactions import MediumInteraction3f
 from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_medium
@@ -22,7 +22,7 @@ from djpt.media.scaling import as_scale
 from djpt.samplers.base import SampleStream
 
 if TYPE_CHECKING:
-    from djpt.description.frame_change import Frame
+    from djpt.description.plugin import Frame
 
 __all__ = ["Homogeneous"]
 

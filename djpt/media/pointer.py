@@ -7,7 +7,7 @@ from typing import Any
 import drjit as dr
 
 from djpt.core.records import Ray3f, SurfaceInteraction3f
-from djpt.core.records.media import MediumInteraction3f
+from djpt.core.records.interactions import MediumInteraction3f
 from djpt.dispatch.family import Pointer
 from djpt.jit.types import Bool, Color3f, Float, UInt32
 from djpt.media.base import Medium

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import drjit as dr
 
 from djpt.core.records import Ray3f
-from djpt.core.records.media import MediumInteraction3f
+from djpt.core.records.interactions import MediumInteraction3f
 from djpt.jit.kernels import maximum, minimum, wide
 from djpt.jit.types import Bool, Color3f, Float
 from djpt.media.differentials import ScatteringPoint, elsewhere, of_flight, own_stream, passed, uniform_point

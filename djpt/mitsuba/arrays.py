@@ -11,7 +11,7 @@ from typing import Any
 import drjit.scalar
 
 from djpt.jit.types import backend
-from djpt.mitsuba.array_names import ARRAYS, SCALAR
+from djpt.mitsuba.names import ARRAYS, SCALAR
 
 __all__ = list(ARRAYS)
 

@@ -15,13 +15,12 @@ import numpy as np
 
 from djpt.core.frame import Frame3f
 from djpt.core.records import BSDFContext, DirectionSample3f, PhaseFunctionContext, SurfaceInteraction3f
-from djpt.core.records.media import MediumInteraction3f
-from djpt.description.loader import load_dict
-from djpt.description.scene_files import load_string
+from djpt.core.records.interactions import MediumInteraction3f
+from djpt.description.loader import load_dict, load_string
 from djpt.errors import ArgumentError, DjptError
 from djpt.jit.types import PCG32, Bool, Float, Point2f, UInt32, UInt64, Vector2f, Vector3f, backend
-from djpt.mitsuba.microfacet import MicrofacetDistribution
-from djpt.mitsuba.statistics import chi2, rlgamma
+from djpt.mitsuba.fresnel import MicrofacetDistribution
+from djpt.mitsuba.math import chi2, rlgamma
 from djpt.samplers.hashing import sample_tea_32
 
 __all__ = [

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import drjit as dr
@@ -33,6 +33,18 @@ __all__ = [
 ]
 
 Point2u = backend.Array2u
+
+
+def converted(attribute: str, convert: Callable[[Any], Any], doc: str) -> Any:
+    """A property that converts what is assigned."""
+    return property(
+        lambda self: getattr(self, attribute), lambda self, value: setattr(self, attribute, convert(value)), doc=doc
+    )
+
+
+def ends_of(pair: Any) -> Any:
+    """The first node and the last, a `drjit.scalar.Array2f`."""
+    return dr.scalar.Array2f(*(float(x) for x in pair))
 
 
 # ---- one number under conditions -------------------------------------------------------------
@@ -63,14 +75,7 @@ class Conditional(ABC):
         self._cdf = Float()
         self._integral = Float()
 
-    @property
-    def pdf(self) -> TensorXf:
-        """The densities at the nodes: one axis per condition, then the one of the number."""
-        return self._pdf
-
-    @pdf.setter
-    def pdf(self, value: Any) -> None:
-        self._pdf = TensorXf(value)
+    pdf = converted("_pdf", TensorXf, "The densities at the nodes: one axis per condition, then the one of the number.")
 
     @property
     def cdf_array(self) -> Float:
@@ -206,23 +211,11 @@ class ConditionalIrregular1D(Conditional):
         self.nodes_cond = nodes_cond
         super().__init__(pdf, [len(axis) for axis in self._nodes_cond])
 
-    @property
-    def nodes(self) -> Float:
-        """The nodes of the number."""
-        return self._nodes
+    _nodes: Float
+    _nodes_cond: list[Float]
+    nodes = converted("_nodes", Float, "The nodes of the number.")
 
-    @nodes.setter
-    def nodes(self, value: Any) -> None:
-        self._nodes = Float(value)
-
-    @property
-    def nodes_cond(self) -> list[Float]:
-        """The nodes of each condition."""
-        return self._nodes_cond
-
-    @nodes_cond.setter
-    def nodes_cond(self, value: Sequence[Any]) -> None:
-        self._nodes_cond = [Float(nodes) for nodes in value]
+    nodes_cond = converted("_nodes_cond", lambda axes: [Float(nodes) for nodes in axes], "The nodes of each condition.")
 
     def _nodes_of_number(self) -> Float:
         return self._nodes
@@ -249,23 +242,13 @@ class ConditionalRegular1D(Conditional):
         self.range_cond = range_cond
         super().__init__(pdf, size_cond)
 
-    @property
-    def range(self) -> Any:
-        """The first node and the last, a `drjit.scalar.Array2f`."""
-        return self._range
+    _range: Any
+    _range_cond: list[Any]
+    range = converted("_range", ends_of, "The first node and the last, a `drjit.scalar.Array2f`.")
 
-    @range.setter
-    def range(self, value: Any) -> None:
-        self._range = dr.scalar.Array2f(*(float(x) for x in value))
-
-    @property
-    def range_cond(self) -> list[Any]:
-        """The first node and the last of each condition."""
-        return self._range_cond
-
-    @range_cond.setter
-    def range_cond(self, value: Sequence[Any]) -> None:
-        self._range_cond = [dr.scalar.Array2f(*(float(x) for x in pair)) for pair in value]
+    range_cond = converted(
+        "_range_cond", lambda pairs: [ends_of(pair) for pair in pairs], "The first node and the last of each condition."
+    )
 
     def _nodes_of_number(self) -> Float:
         return equidistant(self._range, self._pdf.shape[-1])

@@ -9,10 +9,10 @@ import enum
 import inspect
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 
-from djpt.description.files import FileResolver, file_resolver, set_file_resolver
+from djpt.core.forms import accessors
+from djpt.description.files import file_resolver, set_file_resolver
 from djpt.errors import DjptError
 
 __all__ = [
@@ -57,29 +57,16 @@ class Formatter:
         raise NotImplementedError(f"{type(self).__name__}.format")
 
 
-def switch(part: str, doc: str) -> tuple[Callable[..., bool], Callable[..., None]]:
-    """The methods that say whether lines have a part, and change it."""
-
-    def has(self: DefaultFormatter) -> bool:
-        return self._parts[part]
-
-    def set_has(self: DefaultFormatter, value: bool, /) -> None:
-        self._parts[part] = value
-
-    has.__doc__ = set_has.__doc__ = doc
-    return has, set_has
-
-
 class DefaultFormatter(Formatter):
     """The time, the level, the place and the message."""
 
     def __init__(self) -> None:
-        self._parts = {"date": True, "thread": True, "log_level": True, "class": True}
+        self._date = self._thread = self._log_level = self._class = True
 
-    has_date, set_has_date = switch("date", "Whether a line begins with date and time.")
-    has_thread, set_has_thread = switch("thread", "Accepted from scripts, no effect.")
-    has_log_level, set_has_log_level = switch("log_level", "Whether lines name the level.")
-    has_class, set_has_class = switch("class", "Whether lines name the class, or the file without one.")
+    has_date, set_has_date = accessors("_date", "Whether a line begins with date and time.")
+    has_thread, set_has_thread = accessors("_thread", "Accepted from scripts, no effect.")
+    has_log_level, set_has_log_level = accessors("_log_level", "Whether lines name the level.")
+    has_class, set_has_class = accessors("_class", "Whether lines name the class, or the file without one.")
 
     def format(self, level: LogLevel, cname: str | None, fname: str, line: int, msg: str) -> str:
         date = time.strftime("%Y-%m-%d %H:%M:%S") if self.has_date() else ""
@@ -142,29 +129,9 @@ class Logger:
         self._formatter: Formatter = DefaultFormatter()
         self._appenders: list[Appender] = []
 
-    def log_level(self) -> LogLevel:
-        """The least level that is shown."""
-        return self._level
-
-    def set_log_level(self, level: LogLevel, /) -> None:
-        """Show messages from `level` on."""
-        self._level = LogLevel(level)
-
-    def error_level(self) -> LogLevel:
-        """The level from which messages are raised as errors."""
-        return self._error_level
-
-    def set_error_level(self, level: LogLevel, /) -> None:
-        """Raise messages from `level` on as errors."""
-        self._error_level = LogLevel(level)
-
-    def formatter(self) -> Formatter:
-        """What makes the lines."""
-        return self._formatter
-
-    def set_formatter(self, formatter: Formatter, /) -> None:
-        """Make lines in another way."""
-        self._formatter = formatter
+    log_level, set_log_level = accessors("_level", "The least level that is shown.", LogLevel)
+    error_level, set_error_level = accessors("_error_level", "The level from which messages are errors.", LogLevel)
+    formatter, set_formatter = accessors("_formatter", "What makes the lines.", lambda formatter: formatter)
 
     def add_appender(self, appender: Appender, /) -> None:
         """Send messages to one more place."""
@@ -252,30 +219,15 @@ def Log(level: LogLevel, msg: str) -> None:
 class Thread:
     """The process, as scripts for older versions of Mitsuba address it: ``Thread.thread().file_resolver()``."""
 
+    file_resolver = staticmethod(file_resolver)
+    set_file_resolver = staticmethod(set_file_resolver)
+    logger = staticmethod(logger)
+    set_logger = staticmethod(set_logger)
+
     @staticmethod
     def thread() -> Thread:
         """The calling thread: all share one resolver and one logger."""
         return Thread()
-
-    @staticmethod
-    def file_resolver() -> FileResolver:
-        """`djpt.file_resolver`."""
-        return file_resolver()
-
-    @staticmethod
-    def set_file_resolver(resolver: FileResolver, /) -> None:
-        """`djpt.set_file_resolver`."""
-        set_file_resolver(resolver)
-
-    @staticmethod
-    def logger() -> Logger:
-        """`djpt.logger`."""
-        return logger()
-
-    @staticmethod
-    def set_logger(logger: Logger) -> None:
-        """`djpt.set_logger`."""
-        set_logger(logger)
 
     @staticmethod
     def wait_for_tasks() -> None:

@@ -1,4 +1,4 @@
-"""Special functions, integers, searches and encodings: the names of `djpt.math`."""
+"""Special functions, integers, searches and encodings: the names of `djpt.math` and `djpt.math_py`."""
 
 from __future__ import annotations
 
@@ -11,14 +11,15 @@ import numpy as np
 from djpt.core.forms import forms
 from djpt.core.srgb import linear_to_srgb, srgb_to_linear
 from djpt.distributions.search import find_interval
-from djpt.jit.types import Bool, Float, UInt32, backend, converting
-from djpt.mitsuba.statistics import chi2
+from djpt.errors import BackendError
+from djpt.jit.types import Bool, Float, Point2f, UInt32, Vector3f, backend, converting
 
 __all__ = [
     "RayEpsilon",
     "ShadowEpsilon",
     "ShapeEpsilon",
     "chi2",
+    "dir_to_sph",
     "find_interval",
     "is_power_of_two",
     "legendre_p",
@@ -29,8 +30,10 @@ __all__ = [
     "morton_decode3",
     "morton_encode2",
     "morton_encode3",
+    "rlgamma",
     "round_to_power_of_two",
     "solve_quadratic",
+    "sph_to_dir",
     "srgb_to_linear",
     "ulpdiff",
 ]
@@ -188,3 +191,71 @@ def gathered(x: UInt32, gap: int) -> UInt32:
     for (distance, _), (_, places) in zip(reversed(steps), reversed([(0, first), *steps[:-1]]), strict=True):
         x = (x | (x >> distance)) & places
     return x
+
+
+# ---- statistics of tests ---------------------------------------------------------------------
+
+
+def chi2(obs: Any, exp: Any, pool_threshold: float) -> tuple[float, int, int, int]:
+    """Pearson's statistic, the sum of (observed - expected)^2 / expected.
+
+    Args:
+        obs: observed counts.
+        exp: expected ones.
+        pool_threshold: cells with smaller expectations are pooled in order until their sum exceeds it.
+
+    Returns:
+        The statistic; the degrees of freedom; how many cells were pooled; into how many.
+    """
+    observed, expected = (np.array(values, np.float64).ravel() for values in (obs, exp))
+    common = expected >= pool_threshold
+    statistic = float(((observed - expected)[common] ** 2 / expected[common]).sum())
+    rare = ~common & ((observed != 0) | (expected != 0))
+    pooled, sums = 0, np.zeros(2)
+    for pair in zip(observed[rare], expected[rare], strict=True):
+        sums += pair
+        if sums[1] > pool_threshold:
+            statistic += float((sums[0] - sums[1]) ** 2 / sums[1])
+            sums[:] = 0
+            pooled += 1
+    return statistic, int(common.sum()) + pooled - 1, int(rare.sum()), pooled
+
+
+def rlgamma(a: float, x: float) -> float:
+    """The regularised lower incomplete gamma function P(a, x), for a > 0 and x >= 0, by SciPy.
+
+    With a = n / 2 and x = s / 2 it is the chance that Pearson's statistic with n degrees of freedom is at most s.
+
+    Raises:
+        BackendError: SciPy isn't installed.
+    """
+    if a < 0 or x < 0:
+        raise ValueError(f"rlgamma(): 'a' and 'x' must not be negative, found {a} and {x}")
+    try:
+        from scipy.special import gammainc
+    except ImportError:
+        raise BackendError("the chi-squared test needs SciPy: pip install scipy") from None
+    return float(gammainc(a, x))
+
+
+# ---- directions and their spherical coordinates ----------------------------------------------
+
+
+@converting
+def sph_to_dir(theta: Float, phi: Float) -> Vector3f:
+    """The direction at the angle `theta` from +z, turned by `phi` from +x to +y."""
+    sin_theta, cos_theta = dr.sincos(theta)
+    sin_phi, cos_phi = dr.sincos(phi)
+    return Vector3f(cos_phi * sin_theta, sin_phi * sin_theta, cos_theta)
+
+
+@converting
+def dir_to_sph(v: Vector3f) -> Point2f:
+    """The angles (theta, phi) of a direction of unit length, theta in [0, pi] and phi in (-pi, pi].
+
+    The polar angle is twice an arc sine of half of the distance to the nearer pole, which is exact near the poles, too.
+    """
+    lower = v.z < 0
+    pole = dr.select(lower, Float(-1), 1)
+    half = dr.safe_asin(0.5 * dr.norm(Vector3f(v.x, v.y, v.z - pole)))
+    return Point2f(dr.select(lower, dr.pi - 2 * half, 2 * half), dr.atan2(v.y, v.x))

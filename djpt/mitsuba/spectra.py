@@ -12,9 +12,9 @@ import numpy as np
 
 from djpt.core.color import LUMINANCE, RGB_TO_XYZ
 from djpt.core.files import as_path, shortened, writing
+from djpt.description.files import read_pairs
 from djpt.errors import ArgumentError
 from djpt.images import colorimetry
-from djpt.images.spectrum_files import read_pairs
 from djpt.jit.types import Color3f, Float, UInt32, converting
 from djpt.mitsuba.constants import MI_CIE_D65_NORMALIZATION, MI_CIE_MAX, MI_CIE_MIN
 

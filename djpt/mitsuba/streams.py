@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.core.files import as_path, errors_of_writing
+from djpt.core.forms import accessors
 from djpt.description.plugin import Plugin
 from djpt.errors import FileError
 
@@ -34,19 +35,11 @@ class ByteOrder(enum.Enum):
     ENetworkByteOrder = 0
 
 
-def reading(code: str, kind: str) -> Callable[[Stream], Any]:
-    """The method that reads a number with the `code` of Python's `struct`."""
+def number(code: str, kind: str) -> tuple[Callable[[Stream], Any], Callable[[Stream, Any], None]]:
+    """The methods that read and write a number with the `code` of Python's `struct`."""
 
     def read(self: Stream) -> Any:
-        size = struct.calcsize(code)
-        return struct.unpack(self._mark + code, self.read_exactly(size))[0]
-
-    read.__doc__ = f"Read {kind}; raises `FileError` at the end of the stream."
-    return read
-
-
-def writing(code: str, kind: str) -> Callable[[Stream, Any], None]:
-    """The method that writes a number with the `code` of Python's `struct`."""
+        return struct.unpack(self._mark + code, self.read_exactly(struct.calcsize(code)))[0]
 
     def write(self: Stream, arg: Any) -> None:
         try:
@@ -55,12 +48,13 @@ def writing(code: str, kind: str) -> Callable[[Stream, Any], None]:
             raise FileError(f"{self.title}: can't write {arg!r} as {kind}: {error}") from None
         self.write(data)
 
+    read.__doc__ = f"Read {kind}; raises `FileError` at the end of the stream."
     write.__doc__ = f"Write {kind}."
-    return write
+    return read, write
 
 
 class Stream(Plugin):
-    """A sequence of bytes with a position, on top of one of Python's binary files.
+    """A sequence of bytes with a position, on top of one of Python's binary files, whose methods it has as well.
 
     Numbers are little-endian, unless `set_byte_order` says otherwise. After `close` nothing can be read or written.
 
@@ -75,6 +69,11 @@ class Stream(Plugin):
         super().__init__()
         self._file = file
         self._order = ByteOrder.ELittleEndian
+
+    def __getattr__(self, name: str) -> Any:
+        if name == "_file":  # before it is set
+            raise AttributeError(name)
+        return getattr(self._file, name)
 
     @property
     def title(self) -> str:
@@ -94,32 +93,23 @@ class Stream(Plugin):
         """End the use of the stream; a second call does nothing."""
         self._file.close()
 
-    @property
-    def closed(self) -> bool:
-        """Whether `close` was called."""
-        return self._file.closed
-
     def flush(self) -> None:
         """Write out what is held back."""
         self.file.flush()
 
     def can_read(self) -> bool:
         """Whether bytes can be read."""
-        return not self.closed and self._file.readable()
+        return not self._file.closed and self._file.readable()
 
     def can_write(self) -> bool:
         """Whether bytes can be written."""
-        return not self.closed and self._file.writable()
+        return not self._file.closed and self._file.writable()
 
     readable, writable = can_read, can_write
 
-    def seekable(self) -> bool:
-        """True: there is a position."""
-        return True
-
     def size(self) -> int:
         """The number of bytes."""
-        place = self.file.tell()
+        place = self.tell()
         end = self.file.seek(0, os.SEEK_END)
         self.file.seek(place)
         return end
@@ -171,14 +161,10 @@ class Stream(Plugin):
         if not can:
             raise FileError(f"{self.title}: the stream can't be {what}")
 
-    def readline(self) -> bytes:
-        """Read the bytes of a line, with its end."""
-        self._require(self.can_read(), "read")
-        return self.file.readline()
-
     def read_line(self) -> str:
         """Read a line of text, without its end."""
-        return self.readline().decode("latin-1").rstrip("\r\n")
+        self._require(self.can_read(), "read")
+        return self.file.readline().decode("latin-1").rstrip("\r\n")
 
     def write_line(self, arg: str, /) -> None:
         """Write a line of text."""
@@ -201,34 +187,30 @@ class Stream(Plugin):
         """The order of bytes in the memory of this machine."""
         return ByteOrder.ELittleEndian if sys.byteorder == "little" else ByteOrder.EBigEndian
 
-    def byte_order(self) -> ByteOrder:
-        """The order of bytes in the stream."""
-        return self._order
-
-    def set_byte_order(self, arg: ByteOrder, /) -> None:
-        """Change the order of bytes for numbers to come."""
-        self._order = ByteOrder(arg)
+    byte_order, set_byte_order = accessors("_order", "The order of bytes for numbers to come.", ByteOrder)
 
     @property
     def _mark(self) -> str:
         return "<" if self._order is ByteOrder.ELittleEndian else ">"
 
-    read_int8, write_int8 = reading("b", "an int8"), writing("b", "an int8")
-    read_uint8, write_uint8 = reading("B", "a uint8"), writing("B", "a uint8")
-    read_int16, write_int16 = reading("h", "an int16"), writing("h", "an int16")
-    read_uint16, write_uint16 = reading("H", "a uint16"), writing("H", "a uint16")
-    read_int32, write_int32 = reading("i", "an int32"), writing("i", "an int32")
-    read_uint32, write_uint32 = reading("I", "a uint32"), writing("I", "a uint32")
-    read_int64, write_int64 = reading("q", "an int64"), writing("q", "an int64")
-    read_uint64, write_uint64 = reading("Q", "a uint64"), writing("Q", "a uint64")
-    read_single, write_single = reading("f", "a float32"), writing("f", "a float32")
-    read_float, write_float = reading("f", "a float32"), writing("f", "a float32")
-    read_double, write_double = reading("d", "a float64"), writing("d", "a float64")
-    read_bool, write_bool = reading("?", "a bool"), writing("?", "a bool")
+    read_int8, write_int8 = number("b", "an int8")
+    read_uint8, write_uint8 = number("B", "a uint8")
+    read_int16, write_int16 = number("h", "an int16")
+    read_uint16, write_uint16 = number("H", "a uint16")
+    read_int32, write_int32 = number("i", "an int32")
+    read_uint32, write_uint32 = number("I", "a uint32")
+    read_int64, write_int64 = number("q", "an int64")
+    read_uint64, write_uint64 = number("Q", "a uint64")
+    read_single, write_single = number("f", "a float32")
+    read_float, write_float = number("f", "a float32")
+    read_double, write_double = number("d", "a float64")
+    read_bool, write_bool = number("?", "a bool")
 
     def __repr__(self) -> str:
         state = (
-            "closed" if self.closed else f"byte_order = {self._order.name}, pos = {self.tell()}, size = {self.size()}"
+            "closed"
+            if self._file.closed
+            else f"byte_order = {self._order.name}, pos = {self.tell()}, size = {self.size()}"
         )
         return f"{self.title}[{state}]"
 

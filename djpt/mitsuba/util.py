@@ -5,15 +5,17 @@ Nothing else lives here: each name is a thin wrapper over the module that owns t
 
 from __future__ import annotations
 
+import contextlib
 import os
-from typing import Any
+from collections.abc import Iterator
+from typing import Any, Final
 
 from djpt.core.files import as_path
 from djpt.description.parameters import SceneParameters, traverse
 from djpt.images.bitmap import Bitmap
 from djpt.images.formats import DISPLAY_FORMATS
 from djpt.images.structs import Type
-from djpt.mitsuba.variants import scoped_set_variant, variant_context
+from djpt.jit.backends import set_variant, variant
 from djpt.rendering.render import render
 from djpt.scenes.cornell import cornell_box
 
@@ -21,13 +23,16 @@ __all__ = [
     "SceneParameters",
     "convert_to_bitmap",
     "cornell_box",
+    "is_monochromatic",
+    "is_polarized",
+    "is_rgb",
+    "is_spectral",
     "render",
     "scoped_set_variant",
     "traverse",
     "variant_context",
     "write_bitmap",
 ]
-
 
 SINGLE = (".exr", ".hdr", ".pfm")
 """The formats of linear numbers that have no double precision."""
@@ -63,3 +68,31 @@ def convert_to_bitmap(data: Any, uint8_srgb: bool = True) -> Bitmap:
         data = data.detach().cpu().numpy()
     bitmap = data if isinstance(data, Bitmap) else Bitmap(data)
     return bitmap.convert(Bitmap.PixelFormat.RGB, Type.UInt8, True) if uint8_srgb else bitmap
+
+
+# ---- the variant -----------------------------------------------------------------------------
+
+
+is_rgb: Final = True
+is_monochromatic: Final = False
+is_spectral: Final = False
+is_polarized: Final = False
+
+
+@contextlib.contextmanager
+def variant_context(*names: str) -> Iterator[None]:
+    """``set_variant(*names)`` for the block of a ``with``; then the variant that was set before.
+
+    Raises:
+        BackendError: see `djpt.set_variant`.
+    """
+    before = variant()
+    set_variant(*names)
+    try:
+        yield
+    finally:
+        set_variant(before)
+
+
+scoped_set_variant = variant_context
+"""Another name of `variant_context`."""

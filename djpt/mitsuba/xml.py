@@ -13,7 +13,7 @@ import os
 from collections.abc import Mapping
 from typing import Any
 
-from djpt.description.document import Document
+from djpt.description.files import Document
 from djpt.description.xml.reading import read_file, read_string
 from djpt.description.xml.writer import to_xml, write_dict
 

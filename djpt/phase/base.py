@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
 
 from djpt.core.records import PhaseFunctionContext, PhaseFunctionFlags
-from djpt.core.records.media import MediumInteraction3f
+from djpt.core.records.interactions import MediumInteraction3f
 from djpt.description.plugin import Plugin
 from djpt.dispatch.scripted import accept_scripts
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Vector3f

@@ -8,7 +8,7 @@ from typing import ClassVar
 import drjit as dr
 
 from djpt.core.records import ALL_COMPONENTS, PhaseFunctionContext
-from djpt.core.records.media import MediumInteraction3f
+from djpt.core.records.interactions import MediumInteraction3f
 from djpt.description.properties import Properties
 from djpt.description.registry import register_phase
 from djpt.errors import SceneError

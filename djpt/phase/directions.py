@@ -6,7 +6,7 @@ import math
 
 import drjit as dr
 
-from djpt.core.records.media import MediumInteraction3f
+from djpt.core.records.interactions import MediumInteraction3f
 from djpt.jit.types import Float, Vector3f
 
 __all__ = ["around"]

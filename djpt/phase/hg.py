@@ -10,7 +10,7 @@ import drjit as dr
 
 from djpt.core.numeric import as_number
 from djpt.core.records import PhaseFunctionContext, PhaseFunctionFlags
-from djpt.core.records.media import MediumInteraction3f
+from djpt.core.records.interactions import MediumInteraction3f
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.description.registry import register_phase

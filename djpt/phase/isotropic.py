@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import ClassVar
 
 from djpt.core.records import PhaseFunctionContext, PhaseFunctionFlags
-from djpt.core.records.media import MediumInteraction3f
+from djpt.core.records.interactions import MediumInteraction3f
 from djpt.core.warp import square_to_uniform_sphere
 from djpt.description.properties import Properties
 from djpt.description.registry import register_phase

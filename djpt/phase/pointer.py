@@ -8,7 +8,7 @@ from typing import Any
 import drjit as dr
 
 from djpt.core.records import PhaseFunctionContext
-from djpt.core.records.media import MediumInteraction3f
+from djpt.core.records.interactions import MediumInteraction3f
 from djpt.dispatch.ensemble import Detached
 from djpt.dispatch.family import Pointer
 from djpt.jit.types import Bool, Color3f, Float, Point2f, UInt32, Vector3f

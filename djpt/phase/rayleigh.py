@@ -9,7 +9,7 @@ from typing import ClassVar
 import drjit as dr
 
 from djpt.core.records import PhaseFunctionContext, PhaseFunctionFlags
-from djpt.core.records.media import MediumInteraction3f
+from djpt.core.records.interactions import MediumInteraction3f
 from djpt.description.properties import Properties
 from djpt.description.registry import register_phase
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Vector3f

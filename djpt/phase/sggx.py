@@ -9,7 +9,7 @@ import drjit as dr
 import numpy as np
 
 from djpt.core.records import PhaseFunctionContext, PhaseFunctionFlags
-from djpt.core.records.media import MediumInteraction3f
+from djpt.core.records.interactions import MediumInteraction3f
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_phase

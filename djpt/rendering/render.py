@@ -7,7 +7,7 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.core.process.interruption import noticing
+from djpt.core.interruption import noticing
 from djpt.errors import RenderError
 from djpt.integrators.base import Integrator
 from djpt.jit.kernels import begin_trace

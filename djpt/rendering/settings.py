@@ -7,8 +7,8 @@ from typing import Any
 
 import drjit as dr
 
+from djpt.core.interruption import Interruption
 from djpt.core.numeric import whole
-from djpt.core.process.interruption import Interruption
 from djpt.description.properties import Properties
 from djpt.errors import RenderError
 from djpt.integrators.base import Integrator

@@ -12,7 +12,7 @@ import numpy as np
 
 from djpt.core.lookup import Members, Numbers
 from djpt.core.records import RAY_EPSILON, Ray3f, SurfaceInteraction3f
-from djpt.core.records.media import MediumInteraction3f
+from djpt.core.records.interactions import MediumInteraction3f
 from djpt.description.plugin import Plugin
 from djpt.dispatch.ensemble import Ensemble, Group, Lookup, is_attached
 from djpt.dispatch.family import Family, Pointer

@@ -15,7 +15,7 @@ from djpt.core.records import (
     RayFlags,
     SurfaceInteraction3f,
 )
-from djpt.core.records.scene_ref import note_latest
+from djpt.core.records.record import note_latest
 from djpt.dispatch.ensemble import Ensemble
 from djpt.dispatch.family import NONE, Family
 from djpt.dispatch.followed import prepare_followed

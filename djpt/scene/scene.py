@@ -9,10 +9,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from djpt.core.records import EmitterFlags, has_flag
-from djpt.core.records.scene_ref import note_latest
-from djpt.description.merging import Merging
+from djpt.core.records.record import note_latest
 from djpt.description.plugin import Plugin, TraversalCallback
-from djpt.description.properties import Properties
+from djpt.description.properties import Merging, Properties
 from djpt.dispatch.ensemble import Detached, Lookup
 from djpt.emitters import Emitter
 from djpt.errors import RenderError, SceneError

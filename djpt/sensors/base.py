@@ -13,9 +13,7 @@ from djpt.core.bounding_box import ScalarBoundingBox3f
 from djpt.core.numeric import as_number
 from djpt.core.records import DirectionSample3f, Ray3f
 from djpt.core.transforms import ScalarTransform4f, as_transform
-from djpt.description.endpoint import Endpoint
-from djpt.description.frame_change import NotMovable
-from djpt.description.plugin import TraversalCallback
+from djpt.description.plugin import Endpoint, NotMovable, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import lookup, registered
 from djpt.errors import ParameterError, RenderError, SceneError, near_miss
@@ -25,7 +23,7 @@ from djpt.samplers.base import Sampler
 from djpt.sensors.mitsuba_api import SampledRays
 
 if TYPE_CHECKING:
-    from djpt.description.frame_change import Frame
+    from djpt.description.plugin import Frame
 
 __all__ = ["Sensor"]
 

@@ -17,7 +17,7 @@ from djpt.sensors.base import Sensor
 from djpt.sensors.placement import placed_apart
 
 if TYPE_CHECKING:
-    from djpt.description.frame_change import Frame
+    from djpt.description.plugin import Frame
 
 __all__ = ["SensorGroup"]
 

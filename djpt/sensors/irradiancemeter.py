@@ -20,7 +20,7 @@ from djpt.sensors.base import Sensor
 from djpt.sensors.placement import require_area
 
 if TYPE_CHECKING:
-    from djpt.description.frame_change import Frame
+    from djpt.description.plugin import Frame
 
 __all__ = ["IrradianceMeter"]
 

@@ -90,7 +90,7 @@ class SampledRays:
         ray, weight = self.sample_ray(time, sample1, at, sample3, active)
         right, _ = self.sample_ray(time, sample1, Point2f(at.x + 1 / width, at.y), sample3, active)
         below, _ = self.sample_ray(time, sample1, Point2f(at.x, at.y + 1 / height), sample3, active)
-        from djpt.core.records.ray_variants import RayDifferential3f  # the renderer knows no differentials
+        from djpt.core.records.rays import RayDifferential3f  # the renderer knows no differentials
 
         result = RayDifferential3f(ray)
         result.d_x, result.d_y = right.d, below.d

@@ -19,7 +19,7 @@ from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.sensors.projective import ProjectiveCamera
 
 if TYPE_CHECKING:
-    from djpt.description.frame_change import Frame
+    from djpt.description.plugin import Frame
 
 __all__ = ["Orthographic"]
 

@@ -17,7 +17,7 @@ from djpt.jit.types import Bool, Float, Point2f
 from djpt.sensors.projective import Central
 
 if TYPE_CHECKING:
-    from djpt.description.frame_change import Frame
+    from djpt.description.plugin import Frame
 
 __all__ = ["Perspective"]
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.core.numeric import as_number
-from djpt.core.transforms.projective import ProjectiveTransform4f
+from djpt.core.transforms.lanes import ProjectiveTransform4f
 from djpt.description.properties import Properties
 from djpt.jit.types import Matrix4f, ScalarArray2u
 from djpt.sensors.projective import horizontal_fov

@@ -22,7 +22,7 @@ from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vecto
 from djpt.sensors.base import Sensor
 
 if TYPE_CHECKING:
-    from djpt.description.frame_change import Frame
+    from djpt.description.plugin import Frame
 
 __all__ = ["Central", "ProjectiveCamera", "horizontal_fov"]
 

@@ -16,7 +16,7 @@ from djpt.sensors.base import Sensor
 from djpt.sensors.placement import look_along
 
 if TYPE_CHECKING:
-    from djpt.description.frame_change import Frame
+    from djpt.description.plugin import Frame
 
 __all__ = ["RadianceMeter"]
 

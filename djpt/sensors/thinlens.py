@@ -20,7 +20,7 @@ from djpt.jit.types import Bool, Color3f, Float, Point2f, Vector3f
 from djpt.sensors.projective import Central
 
 if TYPE_CHECKING:
-    from djpt.description.frame_change import Frame
+    from djpt.description.plugin import Frame
 
 __all__ = ["ThinLens"]
 

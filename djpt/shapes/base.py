@@ -22,7 +22,7 @@ from djpt.shapes.axes import AxisPool, ProjectedRay, SignedAxis
 from djpt.shapes.mitsuba_api import ShapeQuestions
 
 if TYPE_CHECKING:
-    from djpt.description.frame_change import Frame
+    from djpt.description.plugin import Frame
 
 __all__ = ["Face", "Hit", "Shape", "towards"]
 

@@ -17,7 +17,7 @@ from djpt.shapes.base import Shape
 from djpt.shapes.shapegroup import ShapeGroup
 
 if TYPE_CHECKING:
-    from djpt.description.frame_change import Frame
+    from djpt.description.plugin import Frame
 
 __all__ = ["Instance"]
 

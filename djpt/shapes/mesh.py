@@ -27,7 +27,7 @@ from djpt.shapes.meshes.queries import MeshQueries
 from djpt.shapes.shape_type import ShapeType
 
 if TYPE_CHECKING:
-    from djpt.description.frame_change import Frame
+    from djpt.description.plugin import Frame
     from djpt.shapes.meshes.mesh_set import MeshSet
     from djpt.shapes.silhouettes.base import Silhouette
 

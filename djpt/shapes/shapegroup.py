@@ -16,7 +16,7 @@ from djpt.shapes.axes import AxisPool
 from djpt.shapes.base import Shape
 
 if TYPE_CHECKING:
-    from djpt.description.frame_change import Frame
+    from djpt.description.plugin import Frame
 
 __all__ = ["ShapeGroup"]
 

@@ -33,7 +33,7 @@ from djpt.shapes.base import Hit, Shape
 from djpt.shapes.shape_type import ShapeType
 
 if TYPE_CHECKING:
-    from djpt.description.frame_change import Frame
+    from djpt.description.plugin import Frame
     from djpt.shapes.silhouettes.base import Silhouette
 
 __all__ = ["Sphere", "intersect_large", "is_large"]

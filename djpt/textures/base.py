@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 from djpt.core.records.record import Wavelengths
-from djpt.description.allowed import Allowed
 from djpt.description.plugin import Plugin
-from djpt.description.properties import Properties
+from djpt.description.properties import Allowed, Properties
 from djpt.description.registry import lookup
 from djpt.errors import RenderError
 from djpt.jit.types import Bool, Color3f, Float, Point2f, ScalarArray2i, Vector2f

@@ -8,13 +8,12 @@ from typing import Any
 import numpy as np
 
 from djpt.core.numeric import as_number
-from djpt.description.allowed import Allowed
 from djpt.description.plugin import ParamFlags, TraversalCallback
-from djpt.description.properties import Properties
+from djpt.description.properties import Allowed, Properties
 from djpt.description.registry import register_texture
 from djpt.errors import ParameterError, SceneError
 from djpt.images.colorimetry import LONGEST, SHORTEST
-from djpt.textures.tabulated import Pairs, TabulatedSpectrum, pairs_of
+from djpt.textures.spectrum import Pairs, TabulatedSpectrum, pairs_of
 
 __all__ = ["BlackBody"]
 

@@ -6,8 +6,7 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.description.allowed import Allowed
-from djpt.description.properties import Properties
+from djpt.description.properties import Allowed, Properties
 from djpt.description.registry import register_texture
 from djpt.jit.types import Bool, Color3f, Float, Vector2f
 from djpt.textures.uv import UVTexture

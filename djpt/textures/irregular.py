@@ -13,7 +13,7 @@ from djpt.description.properties import Properties
 from djpt.description.registry import register_texture
 from djpt.errors import ParameterError, SceneError
 from djpt.jit.types import Float
-from djpt.textures.tabulated import TabulatedSpectrum, list_of_numbers, nested_pairs, pairs_of
+from djpt.textures.spectrum import TabulatedSpectrum, list_of_numbers, nested_pairs, pairs_of
 
 __all__ = ["IrregularSpectrum"]
 
@@ -36,10 +36,8 @@ class IrregularSpectrum(TabulatedSpectrum):
         else:
             wavelengths, values = list_of_numbers(props, "wavelengths"), list_of_numbers(props, "values")
         self.wavelengths, self.samples = (Float(x.astype(np.float32)) for x in (wavelengths, values))
-        try:
+        with props.naming("values"):
             pairs = pairs_of(wavelengths, values)
-        except SceneError as error:
-            raise props.error("values", str(error)) from None
         super().__init__(props, pairs)
 
     def traverse(self, callback: TraversalCallback) -> None:

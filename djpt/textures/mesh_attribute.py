@@ -10,9 +10,8 @@ import numpy as np
 
 from djpt.core.color import LUMINANCE
 from djpt.core.numeric import as_array
-from djpt.description.allowed import Allowed
 from djpt.description.plugin import ParamFlags
-from djpt.description.properties import Properties
+from djpt.description.properties import Allowed, Properties
 from djpt.description.registry import register_texture
 from djpt.errors import SceneError, near_miss
 from djpt.jit.frozen import recording

@@ -8,9 +8,8 @@ from typing import Any, ClassVar
 import drjit as dr
 
 from djpt.core.numeric import as_array, describe
-from djpt.description.allowed import Allowed
 from djpt.description.plugin import ParamFlags
-from djpt.description.properties import Properties
+from djpt.description.properties import Allowed, Properties
 from djpt.description.registry import register_texture
 from djpt.errors import ParameterError, SceneError
 from djpt.jit.types import Bool, Color3f, Float
@@ -33,10 +32,8 @@ class RawConstant(Texture):
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         value = props.raw("value")
-        try:
+        with props.naming("value"):
             self.value = self._convert(value)
-        except SceneError as error:
-            raise props.error("value", str(error)) from None
         self.channels = dr.size_v(self.value) if dr.depth_v(self.value) > 1 else 1
         """1 or 3: how many numbers there are."""
 

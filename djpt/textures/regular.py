@@ -14,7 +14,7 @@ from djpt.description.properties import Properties
 from djpt.description.registry import register_texture
 from djpt.errors import ParameterError, SceneError
 from djpt.jit.types import Float
-from djpt.textures.tabulated import Pairs, TabulatedSpectrum, list_of_numbers, nested_pairs, pairs_of
+from djpt.textures.spectrum import TabulatedSpectrum, list_of_numbers, nested_pairs, pairs_of
 
 __all__ = ["RegularSpectrum"]
 
@@ -43,10 +43,8 @@ class RegularSpectrum(TabulatedSpectrum):
             values = list_of_numbers(props, "values")
         self.range = dr.scalar.Array2f(low, high)
         self.samples = Float(values.astype(np.float32))
-        try:
+        with props.naming("values"):
             pairs = pairs_of(np.linspace(low, high, len(values)), values)
-        except SceneError as error:
-            raise props.error("values", str(error)) from None
         super().__init__(props, pairs)
 
     def traverse(self, callback: TraversalCallback) -> None:
@@ -57,12 +55,9 @@ class RegularSpectrum(TabulatedSpectrum):
         return value
 
     def parameters_changed(self, keys: Sequence[str]) -> None:
-        self.set_pairs(self._edited())
-
-    def _edited(self) -> Pairs:
         values = as_array(self.samples).reshape(-1)
         try:
-            return pairs_of(np.linspace(self.range[0], self.range[1], len(values)), values)
+            self.set_pairs(pairs_of(np.linspace(self.range[0], self.range[1], len(values)), values))
         except SceneError as error:
             raise ParameterError(f"{self.id()}: {error}") from None
 

@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.core.numeric import as_array, describe
-from djpt.description.allowed import Allowed
 from djpt.description.plugin import ParamFlags
-from djpt.description.properties import Properties
+from djpt.description.properties import Allowed, Properties
 from djpt.description.registry import register_texture
-from djpt.errors import DjptError, ParameterError, SceneError
+from djpt.errors import ParameterError, SceneError
 from djpt.jit.frozen import recording
 from djpt.jit.types import Bool, Color3f, Float
 from djpt.textures.base import Texture
@@ -36,10 +35,8 @@ class ConstantTexture(Texture):
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         value = props.raw("value")
-        try:
+        with props.naming("value"):
             self.value = self._convert(value)
-        except DjptError as error:
-            raise props.error("value", str(error)) from None
         self._allowed = Allowed()
 
     def eval(self, si: Any, active: Bool | bool = True) -> Color3f:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from djpt.core.numeric import as_vector
-from djpt.description.allowed import Allowed
-from djpt.description.properties import Properties
+from djpt.description.properties import Allowed, Properties
 from djpt.description.registry import register_texture
 from djpt.errors import SceneError
 from djpt.textures.rgb import ConstantTexture
@@ -39,10 +38,8 @@ class SRGBReflectance(ConstantTexture):
 def three_numbers(props: Properties, key: str) -> list[float]:
     """The red, green and blue of an entry, which may be a constant texture."""
     value = props[key]
-    try:
+    with props.naming(key):
         numbers: list[float] = as_vector(value).tolist()
-    except SceneError as error:
-        raise props.error(key, str(error)) from None
     return numbers
 
 

@@ -18,9 +18,10 @@ from djpt.images.colorimetry import XYZ_TO_RGB
 from djpt.images.formats import DISPLAY_FORMATS
 from djpt.images.image import read_pixels, require_modest
 from djpt.images.srgb import decoded, encoded, from_srgb, shares
-from djpt.jit.types import TensorXf
+from djpt.jit.kernels import maximum, minimum
+from djpt.jit.types import Float, TensorXf, UInt32
 
-__all__ = ["as_texels", "check_texels", "load_texels", "mean_texel", "numbers_of"]
+__all__ = ["WRAP_MODES", "as_texels", "check_texels", "load_texels", "mean_texel", "numbers_of", "wrapped"]
 
 Pixels = NDArray[np.float32]
 SOURCES = ("filename", "bitmap", "data")
@@ -182,3 +183,26 @@ def in_bytes(pixels: Pixels, srgb: bool) -> Pixels:
     shown = np.clip(np.nan_to_num(pixels), 0, 1)
     codes = np.rint((encoded(shown) if srgb else shown.astype(np.float64)) * 255) / 255
     return (decoded(codes) if srgb else codes).astype(np.float32)
+
+
+# ---- grids beyond their borders --------------------------------------------------------------
+
+
+WRAP_MODES = ("repeat", "mirror", "clamp")
+"""Values beyond the border: the grid again, its mirror image, or the last point."""
+
+
+def wrapped(i: Float, count: Float, mode: str) -> UInt32:
+    """The number of a point along an axis that has `count` of them; `i` is whole, but may lie outside."""
+    if mode == "repeat":
+        i = remainder(i, count)
+    elif mode == "mirror":
+        i = remainder(i, 2 * count)
+        i = minimum(i, 2 * count - 1 - i)
+    # Also for safety: no coordinate whatsoever may lead out of memory.
+    return UInt32(minimum(maximum(i, 0), count - 1))
+
+
+def remainder(i: Float, n: Float) -> Float:
+    """The remainder of `i` by `n`, whole numbers up to some millions: half a unit keeps off the steps of floor."""
+    return dr.fma(-n, dr.floor((i + 0.5) * dr.rcp(n)), i)

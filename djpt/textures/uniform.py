@@ -8,9 +8,8 @@ from typing import Any, ClassVar
 import drjit as dr
 
 from djpt.core.numeric import as_array, as_number, describe
-from djpt.description.allowed import Allowed
 from djpt.description.plugin import ParamFlags
-from djpt.description.properties import Properties
+from djpt.description.properties import Allowed, Properties
 from djpt.description.registry import register_texture
 from djpt.errors import ParameterError, SceneError
 from djpt.jit.frozen import recording
@@ -36,10 +35,8 @@ class UniformTexture(Texture):
         value = props.raw("value")
         for key in ("wavelength_min", "wavelength_max"):
             props.float(key, 0.0)
-        try:
+        with props.naming("value"):
             self.value = as_float(as_number(value))
-        except SceneError as error:
-            raise props.error("value", str(error)) from None
         self._allowed = Allowed()
 
     def eval(self, si: Any, active: Bool | bool = True) -> Color3f:

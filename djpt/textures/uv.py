@@ -17,7 +17,7 @@ from djpt.jit.kernels import as_vector
 from djpt.jit.types import Float, Point2f, Vector2f, Vector3f
 from djpt.textures.base import Texture
 
-__all__ = ["UVTexture", "as_uv_transform"]
+__all__ = ["UVTexture"]
 
 
 class UVTexture(Texture):
@@ -32,10 +32,8 @@ class UVTexture(Texture):
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
-        try:
+        with props.naming("to_uv"):
             self.to_uv = as_uv_transform(props.raw("to_uv", ScalarTransform3f()))
-        except SceneError as error:
-            raise props.error("to_uv", str(error)) from None
         self._place()
 
     def _place(self) -> None:

@@ -11,16 +11,14 @@ from drjit.scalar import Array3i as ScalarArray3i
 
 from djpt.core.bounding_box import ScalarBoundingBox3f
 from djpt.core.transforms import ScalarTransform4f
-from djpt.description.allowed import Allowed
-from djpt.description.frame_change import NotMovable
-from djpt.description.plugin import Plugin
-from djpt.description.properties import Properties
+from djpt.description.plugin import NotMovable, Plugin
+from djpt.description.properties import Allowed, Properties
 from djpt.dispatch.scripted import accept_scripts
 from djpt.errors import RenderError
 from djpt.jit.types import Bool, Color3f, Float, Vector3f
 
 if TYPE_CHECKING:
-    from djpt.description.frame_change import Frame
+    from djpt.description.plugin import Frame
 
 __all__ = ["Volume"]
 

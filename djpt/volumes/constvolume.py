@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-from djpt.description.allowed import Allowed
-from djpt.description.properties import Properties
+from djpt.description.properties import Allowed, Properties
 from djpt.description.registry import register_volume
 from djpt.errors import SceneError
 from djpt.jit.types import Bool, Color3f, Float, Vector3f

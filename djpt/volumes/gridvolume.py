@@ -13,23 +13,21 @@ from numpy.typing import NDArray
 
 from djpt.core.color import LUMINANCE
 from djpt.core.transforms import ScalarTransform4f, as_transform
-from djpt.description.allowed import Allowed
 from djpt.description.plugin import ParamFlags, TraversalCallback
-from djpt.description.properties import Properties
+from djpt.description.properties import Allowed, Properties
 from djpt.description.registry import register_volume
 from djpt.dispatch.tables import entry_at
 from djpt.errors import ParameterError, SceneError
 from djpt.jit.frozen import recording
 from djpt.jit.kernels import as_float, as_vector, lerp, maximum
 from djpt.jit.types import Bool, Color3f, Float, Point3f, UInt32, Vector3f
-from djpt.textures.texels import mean_texel, numbers_of
-from djpt.textures.wrapping import WRAP_MODES, wrapped
+from djpt.textures.texels import WRAP_MODES, mean_texel, numbers_of, wrapped
 from djpt.volumes.base import Volume
 from djpt.volumes.cells import maxima_of_cells
 from djpt.volumes.voxels import as_voxels, check_voxels, load_voxels
 
 if TYPE_CHECKING:
-    from djpt.description.frame_change import Frame
+    from djpt.description.plugin import Frame
 
 __all__ = ["GridVolume"]
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import djpt
 from djpt.images.sheets import Tile, captioned_rows, captioned_sheet, shown
-from djpt.validation.integrator_comparison.pyramid import pyramid
+from djpt.validation.integrator_comparison.strips import pyramid
 from places import IMAGES
 
 __all__ = ["fog_caustic", "strategies"]

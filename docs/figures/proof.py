@@ -9,8 +9,8 @@ import numpy as np
 import djpt
 from djpt.images.sheets import Tile, captioned_sheet, shown
 from djpt.validation.bridge import mitsuba_renderer
+from djpt.validation.comparison import agreement
 from djpt.validation.report import difference_picture
-from djpt.validation.same_seed import agreement
 from places import IMAGES, LADDER
 
 __all__ = ["proof"]

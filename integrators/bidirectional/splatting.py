@@ -17,7 +17,7 @@ __all__ = ["Sink", "SplattingIntegrator"]
 
 
 class Sink(Protocol):
-    """The receiver of light for any pixel: see `djpt.films.splats.Splats`."""
+    """The receiver of light for any pixel: see `djpt.films.footprint.Splats`."""
 
     def add(self, position: Point2f, color: Color3f, active: Bool, layer: UInt32 | int = 0) -> None:
         """Add a colour at a position in [0, 1)^2 of the crop window, to the image or to one of its further layers."""

@@ -12,7 +12,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.core.warp.octahedron import direction_at, place_of
+from djpt.core.warp import direction_at, place_of
 from djpt.integrators.guiding.cells import Cells, Leaves
 from djpt.jit.kernels import minimum, own_copy, own_floats
 from djpt.jit.types import Bool, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f

@@ -13,7 +13,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.films.splats import Splats
+from djpt.films.footprint import Splats
 from djpt.integrators.bidirectional.single_strategy import LastVertex, SingleStrategy
 from djpt.integrators.markov.mutations import Mutated
 from djpt.jit.kernels import loop_traced_once, maximum, own_copy, own_floats, while_loop

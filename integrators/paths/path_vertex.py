@@ -17,7 +17,7 @@ from djpt.core.records import (
     SurfaceInteraction3f,
     has_flag,
 )
-from djpt.core.records.media import MediumInteraction3f
+from djpt.core.records.interactions import MediumInteraction3f
 from djpt.integrators.volpath import vertex_of
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.materials.adjoint import eval_pdf_light, sample_light

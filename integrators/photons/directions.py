@@ -13,7 +13,7 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.core.warp.octahedron import direction_at, place_of
+from djpt.core.warp import direction_at, place_of
 from djpt.jit.types import Float, Int32, Point2f, UInt32, Vector3f
 
 __all__ = ["coded", "decoded", "packed", "unpacked"]

@@ -7,7 +7,7 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.core.process.memory import RESERVE, shortage
+from djpt.core.memory import RESERVE, shortage
 from djpt.errors import RenderError
 from djpt.integrators.photons import directions
 from djpt.jit.types import ArrayXf, Bool, Color3f, Float, Normal3f, Point3f, UInt32, Vector2f, Vector3f

@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 import djpt
-from djpt.apps.animation.movie import write_movie
+from djpt.apps.animation.frames import write_movie
 from djpt.errors import FileError
 from tests.kit.commands import run
 

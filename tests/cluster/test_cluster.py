@@ -18,8 +18,8 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.apps.cluster import tasks
-from djpt.apps.cluster.bundle import Bundle
+from djpt.apps.cluster import rendering
+from djpt.apps.cluster.work import Bundle
 from djpt.errors import BackendError, DjptError, FileError, ParameterError, RenderError, SceneError
 from djpt.rendering.progressive.rounds import round_seed
 from djpt.scenes.overrides import described, override
@@ -136,7 +136,7 @@ def fresh_cluster() -> Iterator[Cluster]:
 @pytest.mark.slow
 def test_a_stopped_worker_has_its_share_taken(fresh_cluster: Cluster, monkeypatch: pytest.MonkeyPatch) -> None:
     """A worker that is stopped keeps its connection, and the scheduler waits for it for minutes."""
-    monkeypatch.setattr(tasks, "SILENCE", 4.0)
+    monkeypatch.setattr(rendering, "SILENCE", 4.0)
     options = {"spp": 160, "round_spp": 4, "seed": 3}
     expected = last(djpt.render_passes(djpt.load_dict(box(integrator="bdpt")), **options))
     stopped = fresh_cluster.add()
@@ -165,7 +165,7 @@ def test_what_a_stopped_worker_has_found_is_found_again(
     fresh_cluster: Cluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its results are there, for the scheduler, but can't be fetched."""
-    monkeypatch.setattr(tasks, "SILENCE", 4.0)
+    monkeypatch.setattr(rendering, "SILENCE", 4.0)
     options = {"spp": 32, "round_spp": 4, "seed": 5}
     expected = last(djpt.render_passes(djpt.load_dict(box()), **options))
     stopped = fresh_cluster.add()
@@ -184,13 +184,13 @@ def test_what_a_stopped_worker_has_found_is_found_again(
 
 def test_which_workers_are_trusted(monkeypatch: pytest.MonkeyPatch) -> None:
     now = 0.0
-    monkeypatch.setattr(tasks.time, "monotonic", lambda: now)
-    watch = tasks.Watch()
+    monkeypatch.setattr(rendering.time, "monotonic", lambda: now)
+    watch = rendering.Watch()
     for now in range(0, 30, 2):
         signs = {"moves": float(now), "stops": min(now, 8.0)}
         watch.look({address: {"last_seen": sign - 1e9} for address, sign in signs.items()})
         assert watch.live | watch.stopped == {"moves", "stops"}
-        assert watch.stopped == ({"stops"} if now - 8 > tasks.SILENCE else set())
+        assert watch.stopped == ({"stops"} if now - 8 > rendering.SILENCE else set())
     assert watch.live == {"moves"}
     assert not watch.trusts(None) and not watch.trusts(frozenset({"moves", "stops"}))
     assert watch.trusts(frozenset({"moves"})) and watch.trusts(frozenset({"moves", "gone"}))
@@ -202,7 +202,7 @@ def test_which_workers_are_trusted(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_without_workers_it_says_so(fresh_cluster: Cluster) -> None:
     with pytest.warns(RuntimeWarning, match="there are no workers at tcp://"):
         images = djpt.apps.cluster.render_passes(
-            fresh_cluster.client, box(), spp=4, on_wait=lambda text: (tasks.warn(text), fresh_cluster.add())[0]
+            fresh_cluster.client, box(), spp=4, on_wait=lambda text: (rendering.warn(text), fresh_cluster.add())[0]
         )
         assert last(images).spp == 4
 
@@ -216,7 +216,7 @@ def test_a_scheduler_that_says_nothing_is_told(cluster: Cluster, monkeypatch: py
             time.sleep(1)
         return ask(n_workers=n_workers)
 
-    monkeypatch.setattr(tasks, "SILENCE", 0.5)
+    monkeypatch.setattr(rendering, "SILENCE", 0.5)
     monkeypatch.setattr(cluster.client, "scheduler_info", late)
     images = djpt.apps.cluster.render_passes(cluster.client, box(), spp=8, round_spp=4, on_wait=told.append)
     assert last(images).spp == 8

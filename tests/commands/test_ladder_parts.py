@@ -9,11 +9,17 @@ import numpy as np
 import pytest
 
 from djpt.images.sheets import Tile, captioned_rows, captioned_sheet
-from djpt.validation.integrator_comparison.curves import LINE, Curve, chart, plain, spread
-from djpt.validation.integrator_comparison.page import decimals
-from djpt.validation.integrator_comparison.pictures import ERROR_COLORS, error_map
-from djpt.validation.integrator_comparison.pyramid import pyramid
-from djpt.validation.integrator_comparison.strips import bounces, samples
+from djpt.validation.integrator_comparison.page import (
+    ERROR_COLORS,
+    LINE,
+    Curve,
+    chart,
+    decimals,
+    error_map,
+    plain,
+    spread,
+)
+from djpt.validation.integrator_comparison.strips import bounces, pyramid, samples
 
 # ---------------------------------------------------------------- the page
 

@@ -221,11 +221,11 @@ def test_the_doctor(asked: Asked, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_tracebacks_of_exceptions_that_nobody_expected() -> None:
     code = f"""import sys
-import djpt.apps.cli.scenes
+import djpt.apps.cli.info
 from djpt.apps.cli.main import run
 def fail():
     raise RuntimeError({EVIL!r})
-djpt.apps.cli.scenes.command.callback = fail
+djpt.apps.cli.info.scenes.callback = fail
 sys.argv = ["djpt", "scenes"]
 run()
 """

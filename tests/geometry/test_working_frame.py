@@ -12,10 +12,10 @@ import pytest
 
 import djpt
 from djpt.core.records import Ray3f
-from djpt.core.records.media import MediumInteraction3f
+from djpt.core.records.interactions import MediumInteraction3f
 from djpt.core.transforms import ScalarTransform4f as T
 from djpt.description import registry
-from djpt.description.frame_change import NotMovable
+from djpt.description.plugin import NotMovable
 from djpt.jit.types import Float, Point2f, Point3f, TensorXf, Vector3f
 from djpt.scene.normalization.frame import WorkingFrame
 from djpt.scene.normalization.plugin_copies import PluginCopies

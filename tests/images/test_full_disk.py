@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.apps.animation.movie import write_movie
+from djpt.apps.animation.frames import write_movie
 from djpt.errors import FileError
 from djpt.images.formats import FORMATS
 from tests.long_renders.test_passes import box, last

@@ -15,7 +15,7 @@ import pytest
 from PIL import Image as Picture
 
 import djpt
-from djpt.apps.display.notebooks import LEAST_SIZE, picture_of, show_images
+from djpt.apps.display import LEAST_SIZE, picture_of, show_images
 from djpt.jit.types import Float, TensorXf
 from djpt.rendering.progress import watched
 from tests.kit.processes import run_python
@@ -176,7 +176,7 @@ def rounds_of_box(count: int) -> Iterator[Any]:
 
 
 def test_a_render_in_rounds_is_shown_while_it_gets_better(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("djpt.apps.display.live.INTERVAL", 0.0)
+    monkeypatch.setattr("djpt.apps.display.INTERVAL", 0.0)
     done = djpt.show_passes(rounds_of_box(3))
     assert done.spp == 12
     assert [page.partition("<figcaption>")[2].partition(" spp")[0] for page in shell.pages] == ["4", "8", "12", "12"]

@@ -13,7 +13,7 @@ import pytest
 
 import djpt
 from djpt.core.records import BSDFContext, Ray3f, SurfaceInteraction3f
-from djpt.films.splats import Splats
+from djpt.films.footprint import Splats
 from djpt.integrators import PassIntegrator, PathState, SplattingIntegrator, UnidirectionalPath, Vertex
 from djpt.integrators.paths.passes import LightPath, Walks
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f

@@ -11,7 +11,7 @@ import pytest
 
 import djpt
 from djpt.scenes import furnace
-from djpt.validation.closed_forms.base import area, camera
+from djpt.validation.closed_forms.cases import area, camera
 from tests.kit.closed_forms import (
     BY_CHANCE,
     BY_LIGHT_SAMPLES,

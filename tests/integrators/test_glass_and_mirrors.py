@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from djpt.core.transforms import ScalarTransform4f as T
-from djpt.validation.closed_forms.base import area
-from djpt.validation.closed_forms.glass import ABOVE, BELOW, dielectric, pane
+from djpt.validation.closed_forms.cases import ABOVE, BELOW, area, dielectric, pane
 from tests.kit.closed_forms import (
     BY_CHANCE,
     BY_LIGHT_SAMPLES,

@@ -10,7 +10,7 @@ import pytest
 
 import djpt
 from djpt.core.records import BSDFContext, Ray3f
-from djpt.core.warp.octahedron import direction_at, place_of
+from djpt.core.warp import direction_at, place_of
 from djpt.errors import RenderError, SceneError
 from djpt.integrators.guiding.cells import HALVINGS, SIDES, Cells, Leaves
 from djpt.integrators.guiding.guide import SQUARES, Guide

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from djpt.core.transforms import ScalarTransform4f as T
-from djpt.validation.closed_forms.base import ALBEDO, area, camera
-from djpt.validation.closed_forms.floors import parallel_rectangle
+from djpt.validation.closed_forms.cases import ALBEDO, area, camera, parallel_rectangle
 from tests.kit.closed_forms import (
     BY_CHANCE,
     BY_LIGHT_SAMPLES,

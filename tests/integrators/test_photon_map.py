@@ -9,7 +9,7 @@ import drjit as dr
 import numpy as np
 import pytest
 
-from djpt.core.process import memory
+from djpt.core import memory
 from djpt.errors import RenderError
 from djpt.integrators.photons import Photon, PhotonMap, PhotonStore, directions, photon
 from djpt.integrators.photons.map import (

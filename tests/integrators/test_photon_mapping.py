@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.core.process import memory
+from djpt.core import memory
 from djpt.core.transforms import ScalarTransform4f as T
 from djpt.errors import RenderError, SceneError
 from djpt.integrators.photons import photon

@@ -12,7 +12,7 @@ import numpy as np
 
 import djpt
 from djpt.core.transforms import ScalarTransform4f as T
-from djpt.validation.closed_forms.base import ALBEDO, camera
+from djpt.validation.closed_forms.cases import ALBEDO, camera
 from djpt.validation.statistics import Batches, mean_test, pixel_test
 
 __all__ = [

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from djpt.apps.display.notebooks import picture_of
+from djpt.apps.display import picture_of
 from tests.kit.processes import ROOT
 
 __all__ = ["NOTEBOOKS", "Cell", "cells", "shows"]

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.core.process.interruption import interruptible
+from djpt.core.interruption import interruptible
 from djpt.errors import RenderError
 from djpt.rendering.progressive import multi_pixel_lanes
 from djpt.rendering.progressive.rounds import round_seed

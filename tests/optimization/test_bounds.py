@@ -8,7 +8,7 @@ import pytest
 
 import djpt
 from djpt.apps.optimization import optimize
-from djpt.apps.optimization.bounds import usual_bounds
+from djpt.apps.optimization.variables import usual_bounds
 from djpt.errors import ParameterError
 from tests.kit.renders import box
 

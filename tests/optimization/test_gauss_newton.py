@@ -10,10 +10,8 @@ import pytest
 
 import djpt
 from djpt.apps.optimization import GaussNewton, optimize
-from djpt.apps.optimization.curvature import Curvatures
-from djpt.apps.optimization.gauss_newton import majorant
-from djpt.apps.optimization.losses import LOSSES, RESIDUALS
-from djpt.apps.optimization.priors import PRIORS, curvature_of
+from djpt.apps.optimization.gauss_newton import Curvatures, majorant
+from djpt.apps.optimization.losses import LOSSES, PRIORS, RESIDUALS, curvature_of
 from djpt.errors import FileError, ParameterError, RenderError
 from tests.optimization.test_optimize import KEY, TRUTH, floor, grey, pictures, texture
 

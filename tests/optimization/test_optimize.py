@@ -10,10 +10,8 @@ import pytest
 
 import djpt
 from djpt.apps.optimization import confidence, optimize
-from djpt.apps.optimization.loop import refines
-from djpt.apps.optimization.losses import LOSSES
-from djpt.apps.optimization.priors import smoothness, total_variation
-from djpt.apps.optimization.search import order
+from djpt.apps.optimization.loop import order, refines
+from djpt.apps.optimization.losses import LOSSES, smoothness, total_variation
 from djpt.apps.optimization.variables import Variable, coarse, magnified
 from djpt.errors import FileError, ParameterError, RenderError
 

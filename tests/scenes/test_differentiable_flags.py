@@ -11,7 +11,7 @@ import pytest
 
 import djpt
 from djpt.core.transforms import ScalarTransform4f as T
-from djpt.description.own_plugins import plugin_modules
+from djpt.description.registry import plugin_modules
 from djpt.errors import ParameterError
 from djpt.jit.types import TensorXf
 from djpt.rendering.gradients.leaves import attached_parameters, shape_parameters, unused_values

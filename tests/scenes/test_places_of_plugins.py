@@ -14,7 +14,7 @@ import pytest
 
 import djpt
 from djpt.core.transforms import ScalarTransform4f as T
-from djpt.description.frame_change import NotMovable
+from djpt.description.plugin import NotMovable
 from djpt.jit.types import Vector3f
 from djpt.scene.normalization.frame import WorkingFrame
 from djpt.scene.normalization.plugin_copies import PluginCopies

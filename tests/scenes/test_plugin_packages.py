@@ -14,7 +14,7 @@ import pytest
 import djpt
 from djpt.core.transforms import ScalarTransform4f as T
 from djpt.description import registry
-from djpt.description.mitsuba_plugins import LACKING, MITSUBA
+from djpt.description.registry import LACKING, MITSUBA
 from tests.kit.processes import run_python
 
 DISTANCE = 2.0

@@ -11,7 +11,7 @@ import pytest
 
 import djpt
 from djpt.core.transforms import ScalarTransform4f as T
-from djpt.description.xml.upgrade import upgrade_name
+from djpt.description.xml.reader import upgrade_name
 from djpt.mitsuba.xml import read_file, read_string
 from tests.kit.processes import ROOT
 from tests.kit.renders import ours

@@ -11,8 +11,7 @@ from typing import Any
 import pytest
 
 import djpt
-from djpt.description.xml.parameters import LONGEST
-from djpt.description.xml.reader import MAX_FILES, MAX_INCLUDES
+from djpt.description.xml.reader import LONGEST, MAX_FILES, MAX_INCLUDES
 from djpt.description.xml.source import MAX_NESTING
 from djpt.mitsuba.xml import read_file, read_string
 from tests.kit.processes import ROOT

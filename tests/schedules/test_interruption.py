@@ -16,7 +16,7 @@ import pytest
 
 import djpt
 from djpt.core.files import unfinished
-from djpt.core.process.interruption import ending_at_once, interruptible
+from djpt.core.interruption import ending_at_once, interruptible
 from djpt.images.image import read_pixels
 from djpt.rendering.schedules import passes
 from djpt.scene.scene import Scene

@@ -151,7 +151,7 @@ def test_mistakes_leave_nothing(
 def test_an_image_in_memory_that_does_not_fit_names_the_way_out(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr("djpt.core.process.memory.free_memory", lambda: 2**30)
+    monkeypatch.setattr("djpt.core.memory.free_memory", lambda: 2**30)
     scene = box(width=9000, height=9000)
     with pytest.raises(RenderError, match=r"9000 x 9000 .* takes about .*write it row by row \(djpt.render_to_file\)"):
         djpt.render(scene, spp=1)

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.mitsuba.array_names import ARRAYS
-from djpt.mitsuba.names import EXPORTS
+from djpt.mitsuba.names import ARRAYS, EXPORTS
 
 
 @pytest.mark.parametrize("name", sorted(ARRAYS))

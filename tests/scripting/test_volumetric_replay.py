@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.core.records.media import MediumInteraction3f
+from djpt.core.records.interactions import MediumInteraction3f
 from djpt.errors import RenderError
 from djpt.jit.types import Bool, Color3f, Float, UInt32
 from djpt.validation.bridge import to_mitsuba

@@ -13,8 +13,7 @@ from djpt.apps.cli.gradcheck import SIDE as SIDE_OF_HELP
 from djpt.errors import ParameterError
 from djpt.scenes.overrides import override, reduced
 from djpt.validation.gradcheck import check_gradient
-from djpt.validation.gradcheck.check import SIDE
-from djpt.validation.gradcheck.verdicts import Sample, compared, paired
+from djpt.validation.gradcheck.check import SIDE, Sample, compared, paired
 from tests.kit.commands import run
 from tests.kit.faulty import FAULTS
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from djpt.validation import ComparisonError, flip, hdr_flip, mae, psnr, relative_mse, relative_rmse, ssim
-from djpt.validation.measures import LIMITS, MEASURES, checked_limits, within
-from djpt.validation.perceptual import displayed, flip_map
+from djpt.validation.metrics import LIMITS, MEASURES, checked_limits, displayed, flip_map, within
 
 
 def noisy(seed: int = 0, size: tuple[int, int, int] = (24, 20, 3)) -> np.ndarray:

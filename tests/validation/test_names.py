@@ -15,11 +15,10 @@ import pytest
 
 import djpt
 from djpt.core.forms import forms
-from djpt.mitsuba.exclusions import REASONS
+from djpt.mitsuba.names import REASONS
 from djpt.validation.names import Finding, Verdict, counts, findings, read_names, render_page
 from djpt.validation.names.__main__ import PAGE
-from djpt.validation.names.compare import MISSING, look_up
-from djpt.validation.names.signatures import parse, refused_call, signatures
+from djpt.validation.names.compare import MISSING, look_up, parse, refused_call, signatures
 
 
 def refused(theirs: str, ours: str) -> str | None:

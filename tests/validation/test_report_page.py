@@ -17,7 +17,7 @@ import pytest
 from djpt.errors import FileError
 from djpt.images.image import write
 from djpt.validation import Comparison, compare
-from djpt.validation.page.packing import bytes_of, halves_of
+from djpt.validation.page.writing import bytes_of, halves_of
 from tests.kit.browser import CHROMIUM, Page, browsing
 
 pytest.importorskip("scipy")

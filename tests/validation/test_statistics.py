@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import djpt  # noqa: F401  (before anything that might load LLVM)
+from djpt.validation.comparison import agreement
 from djpt.validation.metrics import ComparisonError, mean_bias, relative_bias, relative_rmse, rmse
-from djpt.validation.same_seed import agreement
 from djpt.validation.statistics import Batches, TestResult, block_test, mean_test, noise_ratio, pixel_test, sidak
 
 pytest.importorskip("scipy")

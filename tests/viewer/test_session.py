@@ -11,9 +11,7 @@ import pytest
 
 import djpt
 from djpt.apps.viewer.controls import controls
-from djpt.apps.viewer.picture import Picture
-from djpt.apps.viewer.session import Session, packed
-from djpt.apps.viewer.stage import Stage
+from djpt.apps.viewer.session import Picture, Session, Stage, packed
 from djpt.errors import DjptError
 from djpt.rendering.progressive.rounds import Rounds, round_seed
 from djpt.rendering.settings import RenderSettings

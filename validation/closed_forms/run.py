@@ -12,7 +12,7 @@ import numpy.typing as npt
 from djpt.description.loader import load_dict
 from djpt.description.registry import registered
 from djpt.rendering.render import render
-from djpt.validation.closed_forms.base import ClosedForm
+from djpt.validation.closed_forms.cases import ClosedForm
 from djpt.validation.statistics import sidak
 
 __all__ = ["Outcome", "validate"]

@@ -2,29 +2,249 @@
 
 from __future__ import annotations
 
-import base64
-import html
-import os
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from djpt.errors import BackendError
+from djpt.errors import BackendError, ParameterError
+from djpt.images.sheets import DARK, Tile, captioned_sheet, enlarged
 from djpt.rendering.progress import Progress, watched
 from djpt.rendering.settings import check_count, check_seed
 from djpt.scenes.overrides import described, override, reduced
-from djpt.validation.gradcheck.differences import Difference, Step, choose_step
-from djpt.validation.gradcheck.directions import Direction, directions_of
 from djpt.validation.gradcheck.losses import Loss, MitsubaLoss
-from djpt.validation.gradcheck.verdicts import Sample, Verdict, compared, paired
 from djpt.validation.metrics import ComparisonError
+from djpt.validation.report import Bytes, Pictured, difference_picture
+from djpt.validation.statistics import sidak
 
-__all__ = ["GradientCheck", "check_gradient"]
+__all__ = ["Direction", "GradientCheck", "Sample", "Verdict", "check_gradient", "compared", "paired"]
+
+TOLERANCE = 2e-3
+"""The relative difference that counts as rounding and truncation."""
+
+
+@dataclass(frozen=True)
+class Sample:
+    """Independent values of one estimate, one for each seed."""
+
+    values: tuple[float, ...]
+
+    @property
+    def mean(self) -> float:
+        """The mean of the values."""
+        return float(np.mean(self.values))
+
+    @property
+    def error(self) -> float:
+        """The standard error of the mean."""
+        return float(np.std(self.values, ddof=1) / math.sqrt(len(self.values)))
+
+    def __str__(self) -> str:
+        return f"{self.mean:+.5g} +- {self.error:.1g}"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """A comparison of the derivative by reverse mode with another estimate of it.
+
+    * `what`: the direction and the other estimate.
+    * `found`, `expected`: reverse mode's mean, and the other's.
+    * `z`: the difference beyond `slack`, as a normal deviate; 0 within it.
+    * `critical`: the largest absolute z that passes.
+    * `slack`: the difference that rounding and truncation may make.
+    """
+
+    what: str
+    found: float
+    expected: float
+    z: float
+    critical: float
+    slack: float
+
+    @property
+    def passed(self) -> bool:
+        """True if noise explains the difference."""
+        return math.isfinite(self.z) and abs(self.z) <= self.critical
+
+    def __str__(self) -> str:
+        verdict = "ok" if self.passed else "FAILED"
+        return f"{self.what}: {self.found:+.5g} and {self.expected:+.5g}, z {self.z:+.2f}, {verdict}"
+
+
+def paired(what: str, ours: Sample, theirs: Sample, slack: float, significance: float, tests: int) -> Verdict:
+    """Compare estimates of the same seeds, whose differences have less noise than either: Student's paired test."""
+    differences = Sample(tuple(a - b for a, b in zip(ours.values, theirs.values, strict=True)))
+    return judged(
+        what,
+        ours.mean,
+        theirs.mean,
+        differences.mean,
+        differences.error,
+        len(ours.values) - 1,
+        slack,
+        significance,
+        tests,
+    )
+
+
+def compared(what: str, ours: Sample, theirs: Sample, slack: float, significance: float, tests: int) -> Verdict:
+    """Compare independent estimates: Welch's test."""
+    variances = ours.error**2, theirs.error**2
+    dofs = len(ours.values) - 1, len(theirs.values) - 1
+    spread = sum(v * v / dof for v, dof in zip(variances, dofs, strict=True))
+    dof = sum(variances) ** 2 / spread if spread > 0 else sum(dofs)
+    difference = ours.mean - theirs.mean
+    return judged(what, ours.mean, theirs.mean, difference, math.sqrt(sum(variances)), dof, slack, significance, tests)
+
+
+def judged(
+    what: str,
+    found: float,
+    expected: float,
+    difference: float,
+    error: float,
+    dof: float,
+    slack: float,
+    significance: float,
+    tests: int,
+) -> Verdict:
+    """The verdict on a difference with a standard error; each of `tests` tests has Sidak's level."""
+    from scipy.stats import norm, t
+
+    critical = float(norm.isf(sidak(significance, tests) / 2))
+    slack += TOLERANCE * max(abs(found), abs(expected))
+    beyond = max(0.0, abs(difference) - slack)
+    if not math.isfinite(difference):
+        z = math.nan
+    elif beyond == 0:
+        z = 0.0
+    elif error == 0:
+        z = math.copysign(math.inf, difference)
+    else:
+        ratio = beyond / error
+        z = math.copysign(min(float(norm.isf(t.sf(ratio, dof))), ratio), difference)
+    return Verdict(what, found, expected, z, critical, slack)
+
+
+# ---- finite differences with common random numbers, and how far off they may be --------------
+
 
 Floats = npt.NDArray[np.float64]
+
+SHARE, LEAST = 0.1, 0.02
+"""The step as a share of the largest entry that is changed, and the least one for entries near zero."""
+
+HALVINGS = 12
+"""The most times that a step which leaves the parameter's range is halved."""
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A derivative by finite differences at one seed."""
+
+    image: Floats
+    """The derivative of each pixel, (H, W, C)."""
+    loss: float
+    error: float
+    """The change that halving the step made to the loss's derivative: the truncation error is a fraction of it."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """A step in a direction, on both sides if the parameter's range has room for it, else on one."""
+
+    loss: Loss
+    direction: Floats
+    size: float
+    sides: int
+    """0: central; 1: ahead only; -1: behind only."""
+
+    @property
+    def renders(self) -> int:
+        """The images that `difference` renders."""
+        return 4 if self.sides == 0 else 6
+
+    def difference(self, seed: int) -> Difference:
+        """The derivative at a seed, by two steps and Richardson's extrapolation, of fourth order (central) or third."""
+        coarse, fine = self._slope(self.size, seed), self._slope(self.size / 2, seed)
+        image = (4 * fine - coarse) / 3
+        change = self.loss.value(fine) - self.loss.value(coarse)
+        return Difference(image, self.loss.value(image), abs(change))
+
+    def _slope(self, size: float, seed: int) -> Floats:
+        """The derivative by differences of second order."""
+
+        def at(steps: float) -> Floats:
+            return self.loss.image_at(self.loss.values + steps * size * self.direction, seed)
+
+        if self.sides == 0:
+            return (at(1) - at(-1)) / (2 * size)
+        side = self.sides
+        return side * (4 * at(side) - 3 * at(0) - at(2 * side)) / (2 * size)
+
+
+def choose_step(loss: Loss, direction: Floats) -> Step:
+    """The largest usual step that keeps the parameter in its range.
+
+    Raises:
+        ParameterError: The parameter can't be changed in this direction at all.
+    """
+    changed = np.abs(loss.values[direction != 0])
+    size = max(LEAST, SHARE * float(changed.max(initial=0.0)))
+    for _ in range(HALVINGS):
+        for sides, reach in ((0, (1, -1)), (1, (1, 2)), (-1, (-1, -2))):
+            if all(loss.allows(loss.values + steps * size * direction) for steps in reach):
+                return Step(loss, direction, size, sides)
+        size /= 2
+    raise ParameterError(f"{loss.key}: can't be changed from {loss.values[direction != 0][:4].tolist()}")
+
+
+# ---- directions ------------------------------------------------------------------------------
+
+
+class Direction(NamedTuple):
+    """A change of a parameter: the derivative in its direction is a number."""
+
+    name: str
+    vector: Floats
+    """The change of each entry, (n,)."""
+
+
+def directions_of(inward: Floats, slopes: Floats, samples: int, seed: int) -> list[Direction]:
+    """The directions that a parameter of some entries is checked in.
+
+    Up to four entries: each by itself. More: all together; two random combinations of signs, which no error of an entry
+    that matters survives; and `samples` entries, half of them those of the largest `slopes`, half drawn at random.
+
+    Args:
+        inward: 1 for entries that can only grow, -1 for those that can only shrink, 0 for the others, (n,): where many
+            entries change at once, such entries change inwards, so that the parameter keeps its range.
+        slopes: The derivative with respect to each entry, (n,).
+        samples: The number of single entries.
+        seed: The seed of what is drawn.
+    """
+    count = inward.size
+    if count <= 4:
+        names = ("",) if count == 1 else tuple(f"[{i}]" for i in range(count))
+        return [Direction(name, row) for name, row in zip(names, np.eye(count), strict=True)]
+    rng = np.random.default_rng(seed)
+    signs = [("all entries", np.ones(count))]
+    signs += [(f"random signs {i}", rng.choice([-1.0, 1.0], count)) for i in (1, 2)]
+    found = [Direction(name, np.where(inward == 0, row, inward)) for name, row in signs]
+    largest = np.argsort(-np.abs(slopes))[: samples // 2]
+    drawn = rng.choice(count, size=min(count, samples - len(largest)), replace=False)
+    for entry in dict.fromkeys([*largest.tolist(), *drawn.tolist()]):
+        vector = np.zeros(count)
+        vector[entry] = 1.0
+        found.append(Direction(f"entry {entry}", vector))
+    return found
+
+
+# ---- the check -------------------------------------------------------------------------------
+
 
 GROWTH = 2
 """The factor by which the number of seeds grows while an estimate isn't precise enough."""
@@ -34,7 +254,7 @@ SIDE = 64
 
 
 @dataclass(frozen=True)
-class GradientCheck:
+class GradientCheck(Pictured):
     """The result of `check_gradient`. `print()` shows a table; `write_picture(path)` draws a picture.
 
     * `key`, `value`: the parameter, and its entries where it was checked, (n,).
@@ -47,6 +267,8 @@ class GradientCheck:
       differences, (H, W, C).
     * `notes`: what wasn't compared, and why.
     """
+
+    title = "a gradient check"
 
     name: str
     key: str
@@ -70,12 +292,6 @@ class GradientCheck:
         """True if all comparisons passed."""
         return not self.failures
 
-    def write_picture(self, path: str | os.PathLike[str]) -> None:
-        """Write the derivative image by forward mode | by finite differences | their difference, as png or jpg."""
-        from djpt.validation.gradcheck.picture import write_picture
-
-        write_picture(self, path)
-
     def __str__(self) -> str:
         values = ", ".join(f"{x:.4g}" for x in self.value[:4]) + (", .." if self.value.size > 4 else "")
         lines = [f"{self.name}, {self.key} = {values}: {self.seeds} seeds of {self.spp} spp"]
@@ -92,17 +308,22 @@ class GradientCheck:
         lines.append("passed" if self.passed else "FAILED")
         return "\n".join(line.rstrip() for line in lines)
 
-    def _repr_png_(self) -> bytes:
-        """The picture, for notebooks."""
-        from djpt.images.image import Image
-        from djpt.validation.gradcheck.picture import picture
+    def picture(self) -> Bytes:
+        """Three panels with captions: forward mode | finite differences | what is between them, sRGB (H, W, 3).
 
-        return Image(picture(self))._repr_png_()
-
-    def _repr_html_(self) -> str:
-        """The picture and the table, for notebooks."""
-        png = base64.b64encode(self._repr_png_()).decode()
-        return f'<img src="data:image/png;base64,{png}"><pre>{html.escape(str(self))}</pre>'
+        Red is where a larger value means more light, blue where less. All have one full scale, stated below them, which
+        is exceeded by one pixel in a hundred.
+        """
+        ours, other = self.derivative, self.by_differences
+        scale = max(float(np.quantile(np.abs(np.mean(ours, axis=2)), 0.99)), 1e-9)
+        nothing = np.zeros_like(ours)
+        panels = (
+            (f"{self.key}: forward mode", f"full scale {scale:.2g}", ours, nothing),
+            ("finite differences", f"{self.seeds} seeds of {self.spp} spp", other, nothing),
+            ("the difference", "passed" if self.passed else "FAILED", ours, other),
+        )
+        tiles = [Tile(above, below, enlarged(difference_picture(a, b, scale))) for above, below, a, b in panels]
+        return captioned_sheet(tiles, palette=DARK)
 
 
 def check_gradient(
@@ -125,7 +346,7 @@ def check_gradient(
 ) -> GradientCheck:
     """Check the derivative of the loss mean(w * image), with random weights w, with respect to a parameter of a scene.
 
-    In each of several directions (`djpt.validation.gradcheck.directions`) the derivative by reverse mode is compared
+    In each of several directions (`djpt.validation.gradcheck.check`) the derivative by reverse mode is compared
 
     * with forward mode, at the same seeds: both differentiate the same estimator, so they agree to rounding;
     * with finite differences at the same seeds, which follow nearly the same paths, so that most noise cancels: two

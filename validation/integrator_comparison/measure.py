@@ -33,7 +33,7 @@ from djpt.validation.integrator_comparison.steps import STEPS, Step
 from djpt.validation.metrics import pair
 from djpt.validation.statistics import Batches
 
-__all__ = ["BATCHES", "Ladder", "Measured", "Point", "Reference", "Refused", "colors", "measure", "seeds"]
+__all__ = ["BATCHES", "Ladder", "Measured", "Point", "Reference", "colors", "measure", "seeds"]
 
 Pixels = npt.NDArray[np.float64]
 

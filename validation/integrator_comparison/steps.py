@@ -17,11 +17,6 @@ SHARED: dict[str, Any] = {"max_depth": -1, "rr_depth": 5, "hide_emitters": False
 """Settings that a step takes over from the scene's integrator, if both have them, and their defaults."""
 
 
-def always(scene: Scene) -> bool:
-    """True if the light matters in `scene`: true for any scene."""
-    return True
-
-
 def has_points(scene: Scene) -> bool:
     """True if a scene has lights that no path meets by chance, such as points."""
     return any(has_flag(emitter.flags(), EmitterFlags.Delta) for emitter in scene.emitters())
@@ -50,8 +45,8 @@ class Step:
     """The light that its images never show, at any number of samples; empty: none."""
     shares: tuple[str, ...]
     """The settings of `SHARED` that the integrator has."""
-    matters: Callable[[Scene], bool] = always
-    """True if a scene has the light that the step leaves out."""
+    matters: Callable[[Scene], bool] = lambda scene: True
+    """True if a scene has the light that the step leaves out: by default any."""
     settings: Mapping[str, Any] = field(default_factory=dict)
     deepest: int | None = None
     """Most edges of its paths on the ladder, though longer ones are possible; None: as many as the scene asks for."""

@@ -6,8 +6,15 @@ documentation.
 
 from __future__ import annotations
 
-from djpt.validation.names.compare import Finding, Verdict, findings
-from djpt.validation.names.page import counts, read_names, render_page
-from djpt.validation.names.walk import PublicName, public_names
+from djpt.validation.names.compare import (
+    Finding,
+    PublicName,
+    Verdict,
+    counts,
+    findings,
+    public_names,
+    read_names,
+    render_page,
+)
 
 __all__ = ["Finding", "PublicName", "Verdict", "counts", "findings", "public_names", "read_names", "render_page"]

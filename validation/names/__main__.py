@@ -7,8 +7,7 @@ import importlib
 from pathlib import Path
 
 import djpt
-from djpt.validation.names.compare import Finding, Verdict, findings
-from djpt.validation.names.page import counts, read_names, render_page, share
+from djpt.validation.names.compare import Finding, Verdict, counts, findings, read_names, render_page, share
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "names.md"
 

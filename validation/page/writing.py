@@ -2,28 +2,28 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import math
 import os
-from collections.abc import Mapping
+import zlib
+from collections.abc import Mapping, Sequence
 from html import escape
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
 from djpt.core.files import as_path, check_target, writing
 from djpt.errors import BackendError, FileError
-from djpt.validation.measures import MEASURES
-from djpt.validation.page.histograms import histogram, normal_counts
-from djpt.validation.page.packing import bytes_of, halves_of
-from djpt.validation.perceptual import colours
-from djpt.validation.provenance import machine, versions
+from djpt.validation.metrics import MEASURES, colours
+from djpt.validation.references import machine, versions
+from djpt.validation.report import document, read_beside
 
 if TYPE_CHECKING:
     from djpt.validation.comparison import Comparison
 
-__all__ = ["html", "write_page"]
+__all__ = ["bytes_of", "halves_of", "histogram", "html", "packed", "write_page"]
 
 BINS = 72
 Z_SHOWN = 6.0
@@ -49,25 +49,17 @@ def html(result: Comparison) -> str:
     parts = [
         f"<header><h1>{name}</h1><p class={'good' if result.passed else 'bad'}>{escape(result.verdict)}</p></header>",
         failures(result),
-        (Path(__file__).parent / "panels.html").read_text(encoding="utf-8"),
+        read_beside(__file__, "panels.html"),
         table(result),
         histograms(result),
         origin(result),
     ]
-    return (
-        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<link rel="icon" href="data:,">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{name}: {escape(result.titles[0])} and {escape(result.titles[1])}</title>\n"
-        f"<style>\n{beside('page.css')}</style>\n</head>\n<body>\n<main>\n"
-        + "\n".join(part for part in parts if part)
-        + f'\n</main>\n<script type="application/json" id="data">{data(result, flip)}</script>\n'
-        f"<script>\n{beside('page.js')}</script>\n</body>\n</html>\n"
+    end = (
+        f'<script type="application/json" id="data">{data(result, flip)}</script>\n'
+        f"<script>\n{read_beside(__file__, 'page.js')}</script>"
     )
-
-
-def beside(name: str) -> str:
-    """Read a file in this folder."""
-    return (Path(__file__).parent / name).read_text(encoding="utf-8")
+    title = f"{name}: {escape(result.titles[0])} and {escape(result.titles[1])}"
+    return document(title, read_beside(__file__, "page.css"), parts, end)
 
 
 def flip_of(result: Comparison) -> np.ndarray[Any, Any] | None:
@@ -193,3 +185,96 @@ def fact(name: str, value: Any) -> str:
         return f"<dt>{escape(name)}</dt><dd><details><summary>show</summary><pre>{text}</pre></details></dd>"
     shown = ", ".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
     return f"<dt>{escape(name)}</dt><dd>{escape(shown)}</dd>"
+
+
+# ---- histograms as SVG -----------------------------------------------------------------------
+
+
+WIDTH, HEIGHT, MARGIN, FOOT = 360, 180, 12, 24
+
+Array = npt.NDArray[np.float64]
+
+
+def histogram(
+    title: str,
+    edges: Array,
+    series: Sequence[tuple[str, Array]],
+    ticks: Sequence[tuple[float, str]],
+    logarithmic: bool = False,
+) -> str:
+    """Draw counts over bins as steps, each series in the colour of the class ``series0``, ``series1``, ...
+
+    Args:
+        title: The caption.
+        edges: The edges of the bins, ascending, (n + 1).
+        series: Names and counts, (n) each.
+        ticks: Places on the horizontal axis and what stands there.
+        logarithmic: Whether heights are logarithms of counts.
+    """
+    heights = [np.log10(1 + counts) if logarithmic else counts for _, counts in series]
+    top = max((float(np.max(each, initial=0)) for each in heights), default=0.0) or 1.0
+    low, high = float(edges[0]), float(edges[-1])
+
+    def x(place: float) -> float:
+        return MARGIN + (WIDTH - 2 * MARGIN) * (place - low) / (high - low)
+
+    def y(height: float) -> float:
+        return HEIGHT - FOOT - (HEIGHT - FOOT - MARGIN) * height / top
+
+    lines = []
+    for i, ((name, _), counts) in enumerate(zip(series, heights, strict=True)):
+        points = [f"M{x(low):.1f} {y(0):.1f}"]
+        points += [f"V{y(float(c)):.1f}H{x(float(right)):.1f}" for c, right in zip(counts, edges[1:], strict=True)]
+        lines.append(f'<path class="series{i}" d="{"".join(points)}V{y(0):.1f}"><title>{escape(name)}</title></path>')
+    marks = [
+        f'<line x1="{x(place):.1f}" x2="{x(place):.1f}" y1="{y(0):.1f}" y2="{y(0) + 4:.1f}"/>'
+        f'<text x="{x(place):.1f}" y="{HEIGHT - 6}" text-anchor="middle">{escape(text)}</text>'
+        for place, text in ticks
+    ]
+    keys = " ".join(f'<span class="key{i}">{escape(name)}</span>' for i, (name, _) in enumerate(series))
+    return (
+        f'<figure class="histogram"><svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{escape(title)}">'
+        f'<line x1="{MARGIN}" x2="{WIDTH - MARGIN}" y1="{y(0):.1f}" y2="{y(0):.1f}"/>{"".join(lines)}{"".join(marks)}'
+        f"</svg><figcaption>{escape(title)} {keys}</figcaption></figure>"
+    )
+
+
+def normal_counts(edges: Array, total: float) -> Array:
+    """The number of `total` standard normal deviates that is expected in each bin."""
+    below = np.array([0.5 * math.erfc(-edge / math.sqrt(2)) for edge in edges])
+    return np.asarray(total * np.diff(below))
+
+
+# ---- arrays inside a page: compressed, as text -----------------------------------------------
+
+
+Packed = dict[str, Any]
+
+LARGEST_HALF = 65504.0
+
+
+def packed(array: npt.NDArray[Any]) -> str:
+    """The bytes of an array of bytes or of 16-bit numbers, deflated, in base64.
+
+    Of 16-bit numbers all lower bytes come before all higher ones: the higher bytes of neighbours are alike, which
+    makes the text a fifth shorter.
+    """
+    flat = np.ascontiguousarray(array).reshape(-1)
+    planes = flat.view(np.uint8).reshape(flat.size, flat.itemsize).T
+    compressor = zlib.compressobj(9, zlib.DEFLATED, -zlib.MAX_WBITS)  # without a header, as browsers inflate it
+    data = compressor.compress(np.ascontiguousarray(planes).tobytes()) + compressor.flush()
+    return base64.b64encode(data).decode("ascii")
+
+
+def halves_of(values: npt.NDArray[Any]) -> Packed:
+    """Numbers as float16, scaled by a power of two such that the largest of them fits and small ones keep digits."""
+    wide = np.asarray(values, np.float64)
+    largest = float(np.max(np.abs(wide), initial=0.0))
+    scale = 2.0 ** np.floor(np.log2(LARGEST_HALF / largest)) if largest > 0 else 1.0
+    return {"scale": float(1 / scale), "data": packed((wide * scale).astype("<f2"))}
+
+
+def bytes_of(values: npt.NDArray[Any], low: float, high: float) -> Packed:
+    """Numbers in 255 equal steps from `low` to `high`; those outside are clipped."""
+    steps = np.rint((np.clip(values, low, high) - low) / (high - low) * 254)
+    return {"low": low, "high": high, "data": packed(steps.astype(np.uint8))}

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from djpt.apps.orbit import OrbitCamera
 from djpt.core.transforms import ScalarTransform4f
-from djpt.core.transforms.matrices import about_axis
+from djpt.core.transforms.base import about_axis
 from djpt.errors import ParameterError
 
 __all__ = ["Track", "TurningCamera"]

@@ -9,22 +9,22 @@ from typing import TYPE_CHECKING
 from djpt.core.lazy import lazily
 
 if TYPE_CHECKING:
-    from djpt.apps.cli.animate import command as animate
-    from djpt.apps.cli.bounces import command as bounces
+    from djpt.apps.cli.animation import animate as animate
+    from djpt.apps.cli.animation import turntable as turntable
     from djpt.apps.cli.compare import command as compare
-    from djpt.apps.cli.denoise import command as denoise
     from djpt.apps.cli.doctor import command as doctor
-    from djpt.apps.cli.gallery import command as gallery
     from djpt.apps.cli.gradcheck import command as gradcheck
-    from djpt.apps.cli.info import command as info
+    from djpt.apps.cli.info import info as info
+    from djpt.apps.cli.info import scenes as scenes
     from djpt.apps.cli.ladder import command as ladder
-    from djpt.apps.cli.merge import command as merge
+    from djpt.apps.cli.pictures import denoise as denoise
+    from djpt.apps.cli.pictures import merge as merge
+    from djpt.apps.cli.pictures import tonemap as tonemap
     from djpt.apps.cli.render import command as render
-    from djpt.apps.cli.scenes import command as scenes
-    from djpt.apps.cli.spp import command as spp
-    from djpt.apps.cli.strategies import command as strategies
-    from djpt.apps.cli.tonemap import command as tonemap
-    from djpt.apps.cli.turntable import command as turntable
+    from djpt.apps.cli.strips import bounces as bounces
+    from djpt.apps.cli.strips import gallery as gallery
+    from djpt.apps.cli.strips import spp as spp
+    from djpt.apps.cli.strips import strategies as strategies
     from djpt.apps.cli.validate import command as validate
     from djpt.apps.cli.view import command as view
     from djpt.apps.cli.worker import command as worker

@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 
 __all__ = ["command"]
 
+STORED = ("spp", "seed", "schedule", "width", "height", "rfilter", "integrator")
+"""The settings that count for a reference."""
+
 EPILOG = (
     "A and B are XML files, built-in scenes (see 'djpt scenes') or images. References, written by --store, also record "
     "their noise. Exit code: 0 if A and B agree, 1 if they differ, 2 if the input is wrong."
@@ -61,47 +64,33 @@ EPILOG = (
 def command(
     a: str,
     b: str | None,
-    spp: int,
-    reference_spp: int | None,
-    same_seed: float | None,
-    tests: bool,
-    significance: float,
-    integrator_b: str | None,
-    schedule: str,
-    schedule_b: str | None,
     output: Path | None,
     picture: bool | None,
     report: Path | None,
     store: Path | None,
     as_json: bool,
-    seed: int,
-    width: int | None,
-    height: int | None,
-    rfilter: str | None,
-    integrator: str | None,
     define: tuple[str, ...],
     quiet: bool,
-    **limits: float | None,
+    **settings: Any,
 ) -> None:
     """Compare A with B, or djpt's image of the scene A with Mitsuba's.
 
     Scenes are rendered, images are read. The exit code is 1 if a test or a threshold fails.
     """
     from djpt.images.image import check_writable
-    from djpt.validation.report import check_picture
+    from djpt.validation.comparison import Comparison
 
-    require_positive(spp=spp, reference_spp=reference_spp, width=width, height=height)
-    changes: dict[str, Any] = {"width": width, "height": height, "rfilter": rfilter, "integrator": integrator}
+    require_positive(**{name: settings[name] for name in ("spp", "reference_spp", "width", "height")})
     if store is not None:
         refuse_beside_store(b, report, as_json)
         require_different({"--store": store}, {"A": Path(a)})
-        keep(store, a, spp, seed, schedule, changes, define, quiet)
+        keep(store, a, define, quiet, **{name: settings[name] for name in STORED})
         return
     target = output or Path(f"{Path(a).stem}_comparison.png")
     drawn = picture if picture is not None else output is not None or (report is None and not as_json)
     if drawn:
         check_writable(target)
-        check_picture(target)
+        Comparison.check_picture(target)
     if report is not None:
         check_page(report)
     require_different(
@@ -109,24 +98,11 @@ def command(
         {"A": Path(a), "B": None if b is None else Path(b)},
     )
     from djpt.validation.compare import compare
+    from djpt.validation.metrics import LIMITS
 
+    limits = {name: settings.pop(name) for name in LIMITS}
     with progress_bar("comparing", "renders", quiet or as_json) as progress:
-        result = compare(
-            a,
-            spp,
-            against=b,
-            limits={**limits, "same_seed": same_seed},
-            tests=tests,
-            significance=significance,
-            reference_spp=reference_spp,
-            seed=seed,
-            integrator_b=integrator_b,
-            schedule=schedule,
-            schedule_b=schedule_b,
-            parameters=parameters(define),
-            progress=progress,
-            **changes,
-        )
+        result = compare(a, against=b, limits=limits, parameters=parameters(define), progress=progress, **settings)
     if drawn:
         result.write_picture(target)
     if report is not None:
@@ -147,25 +123,14 @@ def tell(result: Comparison, picture: Path | None, report: Path | None, as_json:
                 say(f"{what}: {path}")
 
 
-def keep(
-    target: Path,
-    a: str,
-    spp: int,
-    seed: int,
-    schedule: str,
-    changes: dict[str, Any],
-    define: tuple[str, ...],
-    quiet: bool,
-) -> None:
+def keep(target: Path, a: str, define: tuple[str, ...], quiet: bool, **settings: Any) -> None:
     """Render A and store it."""
     from djpt.images.image import check_writable
     from djpt.validation.compare import store_reference
 
     check_writable(target)
     with progress_bar("rendering", "renders", quiet) as progress:
-        stored = store_reference(
-            target, a, spp, seed=seed, schedule=schedule, parameters=parameters(define), progress=progress, **changes
-        )
+        stored = store_reference(target, a, parameters=parameters(define), progress=progress, **settings)
     if not quiet:
         height, width, _ = stored.batches.shape
         say(f"{target}: {width} x {height}, {stored.batch_spp * stored.batches.count} spp")

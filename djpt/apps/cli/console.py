@@ -11,21 +11,11 @@ from typing import Any
 import click
 
 from djpt.core.files import reason
-from djpt.core.process.interruption import Terminated
+from djpt.core.interruption import Terminated
 from djpt.core.terminal import visible
 from djpt.errors import BackendError, DjptError, RenderError, SceneError
 
-__all__ = [
-    "Command",
-    "ExitCode",
-    "announce",
-    "fail",
-    "number_or_word",
-    "parameters",
-    "readable_errors",
-    "require_positive",
-    "say",
-]
+__all__ = ["Command", "ExitCode", "announce", "fail", "number_or_word", "parameters", "require_positive", "say"]
 
 
 class ExitCode(IntEnum):

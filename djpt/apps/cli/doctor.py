@@ -29,7 +29,7 @@ from djpt.jit.llvm.installer import libatomic_missing
 if TYPE_CHECKING:
     from rich.console import Console
 
-__all__ = ["Finding", "Report", "command", "examine", "main", "print_report"]
+__all__ = ["Finding", "Report", "command", "examine", "print_report"]
 
 Verdict = Literal["ok", "note", "problem"]
 

@@ -44,21 +44,14 @@ SIDE = 64
 def command(
     scene: str,
     keys: tuple[str, ...],
-    spp: int,
-    seeds: int,
-    most_seeds: int,
-    precision: float,
-    samples: int,
-    sensor: int,
-    mitsuba: bool | None,
-    output: Path | None,
-    as_json: bool,
-    seed: int,
     width: int | None,
     height: int | None,
     integrator: str | None,
+    output: Path | None,
+    as_json: bool,
     define: tuple[str, ...],
     quiet: bool,
+    **settings: Any,
 ) -> None:
     """Check the gradients of SCENE with respect to the parameters KEY.
 
@@ -68,7 +61,8 @@ def command(
     from djpt.images.image import check_writable
     from djpt.scenes.overrides import described, override
 
-    require_positive(spp=spp, seeds=seeds, most_seeds=most_seeds, width=width, height=height)
+    counts = {name: settings[name] for name in ("spp", "seeds", "most_seeds")}
+    require_positive(**counts, width=width, height=height)
     name, description = described(scene, parameters(define))
     from djpt.description.loader import load_dict
     from djpt.validation.gradcheck import check_gradient
@@ -83,18 +77,11 @@ def command(
                 result = check_gradient(
                     description,
                     key,
-                    spp=spp,
-                    seeds=seeds,
-                    most_seeds=most_seeds,
-                    precision=precision,
-                    samples=samples,
-                    sensor=sensor,
-                    seed=seed,
                     width=width,
                     height=height,
                     integrator=integrator,
-                    mitsuba=mitsuba,
                     progress=progress,
+                    **settings,
                 )
         except ParameterError as error:
             if keys:

@@ -1,4 +1,4 @@
-"""The command ``djpt info``: what a scene consists of, and how well its triangles can be searched."""
+"""The commands ``djpt info``: what a scene consists of, and how well its triangles can be searched; ``djpt scenes``."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from djpt.scene.scene import Scene
     from djpt.shapes.base import Shape
 
-__all__ = ["command", "describe"]
+__all__ = ["describe", "info", "scenes"]
 
 
 def describe(scene: Scene) -> str:
@@ -76,7 +76,7 @@ def counted(plugins: Sequence[object]) -> str:
 @click.command("info", cls=Command, epilog=options.SCENE)
 @options.scene
 @options.define
-def command(scene: str, define: tuple[str, ...]) -> None:
+def info(scene: str, define: tuple[str, ...]) -> None:
     """Print the contents of SCENE.
 
     This includes statistics of the tree over its triangles.
@@ -85,3 +85,14 @@ def command(scene: str, define: tuple[str, ...]) -> None:
     from djpt.scenes.overrides import described
 
     print(describe(djpt.load_dict(described(scene, parameters(define))[1])))
+
+
+@click.command("scenes", cls=Command)
+def scenes() -> None:
+    """List the built-in scenes."""
+    from djpt import scenes as built_in
+
+    width = max(len(name) for name in built_in.NAMES)
+    for name in built_in.NAMES:
+        summary = (getattr(built_in, name).__doc__ or "").strip().splitlines()
+        print(f"{name:<{width}}  {summary[0] if summary else ''}".rstrip())

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from djpt.apps.cli.console import announce
 from djpt.core.files import check_target, reason
-from djpt.core.process.interruption import Interruption, interruptible
+from djpt.core.interruption import Interruption, interruptible
 from djpt.core.terminal import beneath, visible
 from djpt.errors import BackendError, FileError, RenderError
 from djpt.rendering.progress import has_terminal, short
@@ -165,7 +165,7 @@ class Passes:
             from distributed import Client
         except ImportError:
             raise BackendError("clusters need the package 'distributed': pip install 'dask[distributed]'") from None
-        from djpt.apps.cluster.patience import within
+        from djpt.apps.cluster.rendering import within
 
         try:
             with interruption.waiting():

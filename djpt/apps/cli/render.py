@@ -13,7 +13,7 @@ import djpt
 from djpt.apps.cli import options
 from djpt.apps.cli.console import Command, parameters, require_positive, say
 from djpt.core.files import require_different
-from djpt.core.process.interruption import ending_at_once
+from djpt.core.interruption import ending_at_once
 from djpt.errors import RenderError
 from djpt.rendering.progress import progress_bar, short
 
@@ -93,7 +93,7 @@ def command(
     quiet: bool,
 ) -> None:
     """Render SCENE to an image file."""
-    from djpt.description.named_files import files_of
+    from djpt.description.files import files_of
     from djpt.scenes.overrides import described, override
 
     require_positive(spp=spp, width=width, height=height)
@@ -115,8 +115,7 @@ def command(
         )
         in_rounds.check()
     # NumPy is imported after the scene was found.
-    from djpt.apps.cli.pictures import channels_for, layers
-    from djpt.apps.cli.tone import Tone
+    from djpt.apps.cli.pictures import Tone, channels_for, layers
     from djpt.images.image import check_writable
     from djpt.rendering.settings import RenderSettings
 
@@ -148,7 +147,7 @@ def command(
 
     metadata = {"scene": name, **({"denoised": denoiser} if denoise else {}), **({} if tone is None else tone.facts)}
     if in_rounds is not None:
-        from djpt.apps.cli.tone import carried
+        from djpt.apps.cli.pictures import carried
         from djpt.rendering.progressive.to_file import facts
 
         with ending_at_once():

@@ -11,7 +11,7 @@ import click
 
 from djpt.apps.cli.console import Command, require_positive
 from djpt.core.files import reason
-from djpt.core.process.interruption import Terminated, end_at_once
+from djpt.core.interruption import Terminated, end_at_once
 from djpt.errors import BackendError, RenderError
 
 __all__ = ["command"]

@@ -4,7 +4,6 @@ client = distributed.Client("tcp://scheduler:8786")
 for found in djpt.apps.cluster.render_passes(client, description, spp=4096): ...
 """
 
-from djpt.apps.cluster.gradients import gradient
-from djpt.apps.cluster.rendering import render_passes
+from djpt.apps.cluster.rendering import gradient, render_passes
 
 __all__ = ["gradient", "render_passes"]

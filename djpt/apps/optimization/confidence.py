@@ -17,7 +17,7 @@ from djpt.rendering.progressive.rounds import round_seed
 from djpt.rendering.render import render
 from djpt.scene.scene import Scene
 
-__all__ = ["MOST", "Confidence", "confidence"]
+__all__ = ["Confidence", "confidence"]
 
 Doubles = npt.NDArray[np.float64]
 

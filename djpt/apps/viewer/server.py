@@ -21,7 +21,7 @@ from importlib import resources
 from typing import Any
 from urllib.parse import urlsplit
 
-from djpt.apps.viewer.messages import parsed
+from djpt.apps.viewer.controls import parsed
 from djpt.core.files import reason
 from djpt.errors import BackendError, RenderError
 

@@ -3,25 +3,165 @@
 from __future__ import annotations
 
 import json
+import math
+import os
 import queue
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from djpt.apps.viewer.messages import in_one_line, number, whole_number
-from djpt.apps.viewer.picture import Picture
-from djpt.apps.viewer.stage import LAYERS, Stage
-from djpt.apps.viewer.watch import Watch
-from djpt.description.named_files import files_of
-from djpt.errors import RenderError
+import djpt
+from djpt.apps.orbit import OrbitCamera
+from djpt.apps.viewer.controls import changed, controls, in_one_line, number, whole_number
+from djpt.core.transforms import ScalarTransform4f
+from djpt.description.files import files_of
+from djpt.errors import RenderError, near_miss
 from djpt.images.tone_mapping import ACES_IN, ACES_OUT, AGX_CURVE, AGX_IN, AGX_OUT, AGX_STOPS
-from djpt.rendering.progressive.rounds import Rounds, round_seed
-from djpt.rendering.settings import RenderSettings
+from djpt.integrators.base import Integrator
+from djpt.rendering.image import channel_names
+from djpt.rendering.progressive.accumulation import luminance
+from djpt.rendering.progressive.rounds import Rounds, RoundSums, round_seed
+from djpt.rendering.settings import RenderSettings, find_integrator
+from djpt.scene.arguments import find_sensor
+from djpt.sensors.orthographic import Orthographic
+from djpt.sensors.projective import ProjectiveCamera
 
-__all__ = ["Session", "packed"]
+__all__ = ["Picture", "Session", "Stage", "Watch", "packed"]
+
+LAYERS = {
+    "light": "",
+    "error": "",
+    "albedo": "albedo",
+    "normal": "sh_normal",
+    "depth": "depth",
+    "position": "position",
+    "uv": "uv",
+    "shape": "shape_index",
+}
+"""The layers that can be shown: the image, its error, and variables of the integrator `aov`."""
+
+
+class Stage:
+    """A loaded scene with a camera that moves, a window of pixels, and a layer.
+
+    Args:
+        description: the scene's dict.
+        sensor: the number of the camera.
+
+    Raises:
+        RenderError: The sensor takes no pictures, or there is no sensor with this number.
+    """
+
+    def __init__(self, description: Mapping[str, Any], sensor: int = 0) -> None:
+        self.scene = djpt.load_dict(dict(description) if type(description) is dict else description)
+        self.params = djpt.traverse(self.scene)
+        self.sensor = find_sensor(self.scene, sensor)
+        if not isinstance(self.sensor, ProjectiveCamera):
+            raise RenderError(f"'{self.sensor.id()}' takes no pictures: choose a camera with --sensor")
+        self.number = sensor
+        self.layer = "light"
+        self._aovs: dict[str, Integrator] = {}
+        names = self.params.names_of(self.sensor)
+        self._to_world = next(name for name in names if name.endswith("to_world"))
+        film = self.params.names_of(self.sensor.film())
+        self._crop = {name.rpartition(".")[2]: name for name in film}
+        self.camera = self.home = OrbitCamera.of(self.scene, self.sensor)
+        """The camera's current placement, and its placement in the scene."""
+
+    # ---- what is rendered --------------------------------------------------------------------
+
+    @property
+    def integrator(self) -> Integrator:
+        """The integrator of the layer that is shown."""
+        variable = LAYERS[self.layer]
+        if not variable:
+            return find_integrator(self.scene, None)
+        if variable not in self._aovs:
+            self._aovs[variable] = djpt.load_dict({"type": "aov", "aovs": f"x:{variable}"})
+        return self._aovs[variable]
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """The names of the image's channels."""
+        return channel_names(self.scene, self.number, self.integrator)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the film in pixels."""
+        width, height = self.sensor.film().size()
+        return int(width), int(height)
+
+    @property
+    def window(self) -> tuple[int, int, int, int]:
+        """Column and row of the first pixel that is rendered, and the number of columns and rows."""
+        (x, y), (width, height) = self.sensor.film().crop_offset(), self.sensor.film().crop_size()
+        return int(x), int(y), int(width), int(height)
+
+    def controls(self) -> list[dict[str, Any]]:
+        """The parameters that the page shows: see `djpt.apps.viewer.controls.controls`."""
+        return controls(self.params)
+
+    # ---- what changes it ---------------------------------------------------------------------
+
+    def show(self, layer: Any) -> None:
+        """Show another layer."""
+        if not isinstance(layer, str) or layer not in LAYERS:
+            name = str(layer)[:40]
+            raise RenderError(f"unknown layer '{name}'{near_miss(name, LAYERS)}")
+        self.layer = layer
+
+    def change(self, key: Any, numbers: Any) -> None:
+        """Set a parameter to another value."""
+        changed(self.params, key, numbers)
+
+    def crop(self, x: int, y: int, width: int, height: int) -> None:
+        """Render only a window, clipped to the film; the whole film if the window is empty."""
+        columns, rows = self.size
+        left, top = min(max(x, 0), columns), min(max(y, 0), rows)
+        right, bottom = min(max(x + width, 0), columns), min(max(y + height, 0), rows)
+        if right <= left or bottom <= top:
+            left, top, right, bottom = 0, 0, columns, rows
+        # Both at once: neither need fit with the other's old value.
+        self.params.update(
+            {self._crop["crop_offset"]: (left, top), self._crop["crop_size"]: (right - left, bottom - top)}
+        )
+
+    def turn(self, yaw: float, pitch: float) -> None:
+        """Orbit the camera about its target, by angles in radians."""
+        self.hold(self.camera.turned(yaw, pitch))
+
+    def shift(self, right: float, upward: float) -> None:
+        """Move the camera sideways, by multiples of its distance."""
+        self.hold(self.camera.shifted(right * self.camera.distance, upward * self.camera.distance))
+
+    def approach(self, factor: float) -> None:
+        """Multiply the distance, or without perspective the size of what is seen, by a factor from 1/4 to 4."""
+        factor = min(max(factor, 0.25), 4.0)
+        orthographic = isinstance(self.sensor, Orthographic)
+        self.hold(self.camera.scaled(factor) if orthographic else self.camera.approached(factor))
+
+    def return_home(self) -> None:
+        """Reset the camera to its placement in the scene."""
+        self.hold(self.home)
+
+    def hold(self, camera: OrbitCamera) -> None:
+        """Put the camera somewhere.
+
+        Raises:
+            RenderError: The camera is so far away, or so near to its target, that its position isn't finite.
+        """
+        if not (np.isfinite(camera.to_world).all() and np.isfinite(camera.distance) and camera.distance > 0):
+            raise RenderError("the camera can't move there: its position would no longer be finite")
+        self.params.update({self._to_world: ScalarTransform4f(camera.to_world)})
+        self.camera = camera
+
+
+# ---- the session -----------------------------------------------------------------------------
+
 
 SHORT, LONG = 0.02, 0.06
 """Seconds of a round's kernel below which the next round has more samples, and above which it has fewer.
@@ -288,3 +428,106 @@ def packed(header: Mapping[str, Any], pixels: npt.NDArray[np.float32]) -> bytes:
     with np.errstate(over="ignore"):
         halves = np.clip(pixels, -LARGEST_HALF, LARGEST_HALF).astype("<f2")
     return len(text).to_bytes(4, "little") + text + halves.tobytes()
+
+
+# ---- changes of the files that a scene was read from -----------------------------------------
+
+
+class Watch:
+    """Detects new versions of files by their size and modification time."""
+
+    def __init__(self, files: Iterable[Path]) -> None:
+        self.files = tuple(files)
+        """The files that are watched."""
+        self._seen = self._state()
+
+    def has_changed(self) -> bool:
+        """True if a file has changed since the last call. A file that is missing momentarily hasn't."""
+        state = self._state()
+        changed = any(new is not None and new != old for new, old in zip(state, self._seen, strict=True))
+        self._seen = tuple(old if new is None else new for new, old in zip(state, self._seen, strict=True))
+        return changed
+
+    def _state(self) -> tuple[tuple[int, int] | None, ...]:
+        return tuple(stamp(path) for path in self.files)
+
+
+def stamp(path: Path) -> tuple[int, int] | None:
+    """The modification time in nanoseconds and the size of a file; None if it doesn't exist."""
+    try:
+        status = os.stat(path)
+    except OSError:
+        return None
+    return status.st_mtime_ns, status.st_size
+
+
+# ---- the sum of the rounds rendered so far ---------------------------------------------------
+
+
+Floats = npt.NDArray[np.float32]
+Doubles = npt.NDArray[np.float64]
+
+
+class Picture:
+    """An image that rounds of any number of samples are added to, and its error.
+
+    The error comes from the rounds' luminance x with w samples per pixel each: with W the sum of w, m the weighted mean
+    and R rounds, the variance of the mean is ``(sum of w x^2 / W - m^2) / (R - 1)``, which is unbiased, as the variance
+    of a round is inversely proportional to w.
+    """
+
+    def __init__(self, channels: tuple[str, ...]) -> None:
+        self.channels = channels
+        """The names of the channels."""
+        self.rounds = 0
+        """The number of rounds."""
+        self.spp = 0
+        """Samples per pixel of all rounds."""
+        self._sums: Doubles = np.zeros((0, 0, 0))
+        self._weights: Doubles = np.zeros((1, 1))
+        self._constant: Floats = np.zeros((0, 0, 0), np.float32)
+        self._mean: Doubles = np.zeros((0, 0))
+        self._square: Doubles = np.zeros((0, 0))
+
+    def add(self, part: RoundSums, spp: int) -> None:
+        """Add a round of `spp` samples per pixel."""
+        brightness = luminance(part.sums * inverse(part.weights), self.channels)
+        if not self.rounds:
+            self._sums, self._weights = np.zeros(part.sums.shape), np.zeros(part.weights.shape)
+            self._mean, self._square = np.zeros(brightness.shape), np.zeros(brightness.shape)
+        self._sums += part.sums
+        self._weights += part.weights
+        self._constant = part.constant
+        weighted = spp * brightness
+        self._mean += weighted
+        self._square += weighted * brightness
+        self.rounds += 1
+        self.spp += spp
+
+    def pixels(self) -> Floats:
+        """The image, (height, width, channels)."""
+        filtered = np.empty(self._sums.shape, np.float32)
+        np.multiply(self._sums, inverse(self._weights), out=filtered, casting="same_kind")
+        image = np.moveaxis(filtered, 0, 2)
+        return np.concatenate([image, self._constant], axis=2) if self._constant.size else image
+
+    def error(self) -> Floats:
+        """The standard error of the luminance of each pixel, (height, width); zero until there are two rounds."""
+        return np.sqrt(self._variance()).astype(np.float32)
+
+    def relative_error(self) -> float:
+        """The root of the mean squared error of the pixels, divided by the mean luminance; 0 if that is unknown."""
+        mean = float(self._mean.mean()) / max(1, self.spp)
+        return math.sqrt(float(self._variance().mean())) / mean if mean > 0 else 0.0
+
+    def _variance(self) -> Doubles:
+        """The variance of the mean luminance of each pixel."""
+        if self.rounds < 2:
+            return np.zeros(self._mean.shape)
+        mean = self._mean / self.spp
+        return np.maximum(self._square / self.spp - mean * mean, 0) / (self.rounds - 1)
+
+
+def inverse(weights: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
+    """One divided by the weights, and 1 where there are none."""
+    return 1 / np.where(weights == 0, 1, weights)

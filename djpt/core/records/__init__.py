@@ -17,8 +17,16 @@ from djpt.core.records.flags import (
     TransportMode,
     has_flag,
 )
-from djpt.core.records.interactions import PreliminaryIntersection3f, SceneView, SurfaceInteraction3f
-from djpt.core.records.points import RAY_EPSILON, SHADOW_EPSILON, Interaction3f, Observer, Reference
+from djpt.core.records.interactions import (
+    RAY_EPSILON,
+    SHADOW_EPSILON,
+    Interaction3f,
+    Observer,
+    PreliminaryIntersection3f,
+    Reference,
+    SceneView,
+    SurfaceInteraction3f,
+)
 from djpt.core.records.rays import Ray3f
 from djpt.core.records.record import Record
 from djpt.core.records.samples import BSDFSample3f, DirectionSample3f, EmissionSample, PositionSample3f

@@ -1,21 +1,157 @@
-"""Points on surfaces, and the hits of rays that they are computed from."""
+"""Points that light is sampled for, points on surfaces and in media, and the hits of rays."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Protocol
+from dataclasses import dataclass
+from typing import Any, Protocol, TypeAlias
 
 import drjit as dr
 
 from djpt.core.frame import Frame3f
-from djpt.core.records.instanced import Instanced
-from djpt.core.records.points import Interaction3f
 from djpt.core.records.rays import Ray3f
-from djpt.core.records.record import Record, no_wavelengths
-from djpt.core.records.scene_ref import latest_scene_ref, only, scene_of
-from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector2f, Vector3f
+from djpt.core.records.record import (
+    Record,
+    SceneRef,
+    assignable,
+    latest_scene_ref,
+    no_wavelengths,
+    only,
+    optional,
+    scene_of,
+)
+from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, UInt32, Vector2f, Vector3f
 
-__all__ = ["PreliminaryIntersection3f", "SceneView", "SurfaceInteraction3f"]
+__all__ = [
+    "RAY_EPSILON",
+    "SHADOW_EPSILON",
+    "Interaction3f",
+    "MediumInteraction3f",
+    "Observer",
+    "PreliminaryIntersection3f",
+    "Reference",
+    "SceneView",
+    "SurfaceInteraction3f",
+]
+
+RAY_EPSILON = 1500 * 2.0**-24
+"""Offset of a spawned ray along the normal, relative to 1 + the largest coordinate (Mitsuba's value)."""
+
+SHADOW_EPSILON = 10 * RAY_EPSILON
+"""A shadow ray stops short of the light by this fraction of its length."""
+
+
+@dataclass
+class Reference:
+    """A point that light is sampled for."""
+
+    p: Point3f
+    n: Vector3f | None
+    """The geometric normal of the surface there, of either sign; None if the choice of emitters doesn't look at it."""
+
+
+class Interaction3f(Record):
+    """A point of a ray: ``Interaction3f()``, ``Interaction3f(it)``, ``Interaction3f(t, time, wavelengths, p, n=0)``."""
+
+    title = "Interaction"
+
+    t: Float
+    """Distance along the ray, in units of its `d`; infinity if there is no such point."""
+    time: Float
+    p: Point3f
+    n: Normal3f
+    """Geometric normal; 0 if there is no surface."""
+
+    def __init__(
+        self, t: Any = None, time: Any = None, wavelengths: Any = None, p: Any = None, n: Any = None, **fields: Any
+    ) -> None:
+        no_wavelengths(wavelengths)
+        if isinstance(t, Interaction3f):
+            self.assign(t)
+            t = None
+        given = {"t": t, "time": time, "p": p, "n": n, **fields}
+        super().__init__(None, **{name: value for name, value in given.items() if value is not None})
+
+    def default(self, name: str) -> Any:
+        return Float(dr.inf) if name == "t" else super().default(name)
+
+    def zero_(self, size: int = 1) -> None:
+        """Complete `dr.zeros`: no interaction, at infinity."""
+        self.fill_with_zeros(size)
+        self.t = dr.full(Float, dr.inf, size)
+
+    def is_valid(self) -> Bool:
+        """True where there is a point: `t` is finite."""
+        known = self.__dict__.get("_valid")
+        return self.t < dr.inf if known is None else known
+
+    def found_at(self, t: Float, valid: Bool) -> None:
+        """Set `t`, and what `is_valid` returns, so that kernels needn't find out again."""
+        self.t = t
+        self.__dict__["_valid"] = valid
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name == "t":
+            self.__dict__.pop("_valid", None)
+        super().__setattr__(name, value)
+
+    def offset_p(self, d: Vector3f) -> Point3f:
+        """The point moved off the surface, to the side that `d` points to.
+
+        The step is RAY_EPSILON (1 + max abs(p)) along the geometric normal, as in Mitsuba.
+        """
+        a = dr.abs(self.p)
+        largest = dr.select(a.x > a.y, a.x, a.y)
+        largest = dr.select(largest > a.z, largest, a.z)
+        step = dr.fma(largest, RAY_EPSILON, RAY_EPSILON)
+        return dr.fma(self.n, dr.mulsign(step, dr.dot(self.n, d)), self.p)
+
+    def spawn_ray(self, d: Vector3f) -> Ray3f:
+        """An unbounded ray that leaves the surface in direction `d`."""
+        return self._along(self.offset_p(d), d, Float(dr.inf), d)
+
+    def spawn_ray_to(self, t: Point3f) -> Ray3f:
+        """The segment to the point `t`: `d` is not normalised, `maxt` is just short of 1."""
+        o = self.offset_p(t - self.p)
+        return self._along(o, t - o, Float(1 - SHADOW_EPSILON), t - self.p)
+
+    def _along(self, o: Point3f, d: Vector3f, maxt: Float, leaving: Vector3f) -> Ray3f:
+        """A ray with the time of the interaction, in the medium on the side that `leaving` points to."""
+        ray = Ray3f(o, d, maxt=maxt, medium=self.medium_beyond(leaving))
+        if "time" in self.__dict__:
+            ray.time = self.time
+        return ray
+
+    def medium_beyond(self, d: Any) -> UInt32 | None:
+        """The number of the medium of a ray that leaves in the world direction `d`; None in scenes without media."""
+        return None
+
+
+Observer: TypeAlias = "Reference | Interaction3f"
+"""A point for which light is sampled: `p` counts always, `n` for some light samplers."""
+
+
+# ---- hits ------------------------------------------------------------------------------------
+
+
+class Instanced(Record):
+    """The part of a hit that tells the instance."""
+
+    instances: tuple[UInt32, ...]
+    """The index of the instance into ``scene.shapes()``; nothing in scenes without instances: see `instance`."""
+    scene_ref: SceneRef
+
+    instance = assignable(
+        "instance",
+        lambda self: scene_of(self).instance_at(self) if self.scene_ref else None,
+        """The instance that was hit, a `djpt.ShapePtr`, null on other shapes; or what was assigned.
+
+        None in a record that belongs to no scene. Known where a script asks a scene for the hit.
+        """,
+    )
+
+
+# ---- points on surfaces ----------------------------------------------------------------------
 
 
 class SceneView(Protocol):
@@ -105,15 +241,11 @@ class PreliminaryIntersection3f(Instanced):
         """The hit in the coordinates of the search for triangles: see `djpt.geometry.query.Near`; else None."""
         return only(self.nearby)
 
-    @property
-    def shape(self) -> Any:
-        """The shape that was hit, a `djpt.shapes.pointer.ShapePtr`, null on a miss; or what was assigned."""
-        return self.__dict__["_shape"] if "_shape" in self.__dict__ else scene_of(self).shape_at(self)
-
-    @shape.setter
-    def shape(self, shape: Any) -> None:
-        # Dr.Jit's operations don't carry it along.
-        self.__dict__["_shape"] = shape
+    shape = assignable(
+        "shape",
+        lambda self: scene_of(self).shape_at(self),
+        "The shape that was hit, a `djpt.shapes.pointer.ShapePtr`, null on a miss; or what was assigned.",
+    )
 
     @property
     def valid(self) -> Bool:
@@ -194,31 +326,18 @@ class SurfaceInteraction3f(Interaction3f, Instanced):
     def scene(self, scene: SceneView) -> None:
         self.scene_ref = {scene: ()}
 
-    @property
-    def medium(self) -> UInt32 | None:
-        """The medium of the ray that arrived; None in scenes without media."""
-        return only(self.media)
-
-    @medium.setter
-    def medium(self, medium: UInt32 | None) -> None:
-        self.media = () if medium is None else (medium,)
+    medium = optional("media", "The medium of the ray that arrived; None in scenes without media.")
 
     @property
     def valid(self) -> Bool:
         """True where the ray hit a surface."""
         return self.is_valid()
 
-    @property
-    def shape(self) -> Any:
-        """The shape, a `djpt.shapes.pointer.ShapePtr`, null on a miss; or what was assigned."""
-        if "_shape" in self.__dict__:
-            return self.__dict__["_shape"]
-        return scene_of(self).shape_at(self) if self.scene_ref else None
-
-    @shape.setter
-    def shape(self, shape: Any) -> None:
-        # Dr.Jit's operations don't carry it along.
-        self.__dict__["_shape"] = shape
+    shape = assignable(
+        "shape",
+        lambda self: scene_of(self).shape_at(self) if self.scene_ref else None,
+        "The shape, a `djpt.shapes.pointer.ShapePtr`, null on a miss; or what was assigned.",
+    )
 
     def shown(self) -> Sequence[str]:
         left_out = ("prim_uv", "shape_index", "face")
@@ -313,3 +432,55 @@ class SurfaceInteraction3f(Interaction3f, Instanced):
     def has_n_partials(self) -> Bool:
         """True where the derivative of the normal was asked for, and isn't 0."""
         return dr.any((self.dn_du != 0) | (self.dn_dv != 0))
+
+
+# ---- points in media -------------------------------------------------------------------------
+
+
+class MediumInteraction3f(Interaction3f):
+    """A point in a medium, where light may be scattered.
+
+    ``MediumInteraction3f()``, ``MediumInteraction3f(mei)``, or its fields by keywords.
+    """
+
+    title = "MediumInteraction"
+
+    sh_frame: Frame3f
+    """A frame about `wi`; made when it is first read."""
+    wi: Vector3f
+    """Direction back along the ray, in world space."""
+    sigma_s: Color3f
+    """Scattering coefficient."""
+    sigma_n: Color3f
+    """Coefficient of null collisions: majorant - sigma_t."""
+    sigma_t: Color3f
+    """Extinction coefficient: absorption and scattering."""
+    combined_extinction: Color3f
+    """The majorant."""
+    mint: Float
+    """Distance at which the ray enters the medium's box."""
+    pointers: tuple[Any, ...]
+    """The medium, a pointer, or nothing: see `medium`."""
+
+    @staticmethod
+    def on(ray: Ray3f, t: Float, p: Point3f | None = None) -> MediumInteraction3f:
+        """The point of a ray at `t`; `p` is that point if it is known."""
+        mei: MediumInteraction3f = MediumInteraction3f.holding(t=t, p=ray(t) if p is None else p, wi=-ray.d)
+        if ray.times:
+            mei.time = ray.time
+        return mei
+
+    def default(self, name: str) -> Any:
+        return Frame3f.from_normal(self.wi) if name == "sh_frame" else super().default(name)
+
+    medium = optional(
+        "pointers", "The medium, a `djpt.media.pointer.MediumPtr`; None in a record that no medium has made."
+    )
+
+    def to_local(self, v: Vector3f) -> Vector3f:
+        """World direction to `sh_frame`."""
+        return self.sh_frame.to_local(v)
+
+    def to_world(self, v: Vector3f) -> Vector3f:
+        """`sh_frame` to world."""
+        return self.sh_frame.to_world(v)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import threading
+import weakref
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, get_origin, get_type_hints
 
 import drjit as dr
@@ -10,7 +12,18 @@ import drjit as dr
 from djpt.errors import RenderError
 from djpt.jit.types import backend
 
-__all__ = ["Record", "Wavelengths", "no_wavelengths"]
+__all__ = [
+    "Record",
+    "SceneRef",
+    "Wavelengths",
+    "assignable",
+    "latest_scene_ref",
+    "no_wavelengths",
+    "note_latest",
+    "only",
+    "optional",
+    "scene_of",
+]
 
 Wavelengths = backend.Array0f
 """The wavelengths of a record: none, since light is RGB."""
@@ -133,3 +146,72 @@ def no_wavelengths(wavelengths: Any) -> None:
     """Raise `RenderError` if a record is given wavelengths: light is RGB."""
     if wavelengths is not None and len(wavelengths):
         raise RenderError(f"light is RGB, so records have no wavelengths: pass [], found {wavelengths!r}")
+
+
+# ---- the Python object that a record belongs to ----------------------------------------------
+
+
+SceneRef = dict[Any, tuple[()]]
+"""A reference to a scene: it is the only key. Dr.Jit keeps the keys of dicts whatever it does with their values."""
+
+
+class Latest(threading.local):
+    """The scene that a thread has loaded, rendered or asked for hits last, if it still exists.
+
+    Records that a script makes by `dr.zeros` belong to it. They have to belong to one from the beginning: a loop of
+    Dr.Jit makes its results of the state that it began with, keys of dicts included, and doesn't look at the keys of
+    what the body returns. A record that began without a scene would lose that of the hits found in the loop.
+    """
+
+    scene: weakref.ref[Any] | None = None
+
+
+_latest = Latest()
+
+
+def note_latest(scene: Any) -> None:
+    """Make `scene` the one that records made by `dr.zeros` in this thread belong to."""
+    _latest.scene = weakref.ref(scene)
+
+
+def latest_scene_ref() -> SceneRef:
+    """The scene of records made by `dr.zeros`, so that they fit into loops and selects with those of hits."""
+    scene = None if _latest.scene is None else _latest.scene()
+    return {} if scene is None else {scene: ()}
+
+
+def scene_of(record: Any) -> Any:
+    """The scene that a record belongs to; raise `RenderError` if there is none."""
+    for scene in record.scene_ref:
+        return scene
+    raise RenderError(f"this {type(record).__name__} belongs to no scene: it wasn't found by a ray")
+
+
+def only(entries: tuple[Any, ...]) -> Any:
+    """The entry of a field that may be missing, or None."""
+    return entries[0] if entries else None
+
+
+def optional(entries: str, doc: str) -> Any:
+    """A property for the entry of a field that may be missing: None if the tuple `entries` is empty."""
+
+    def get(self: Any) -> Any:
+        return only(getattr(self, entries))
+
+    def set_(self: Any, value: Any) -> None:
+        setattr(self, entries, () if value is None else (value,))
+
+    return property(get, set_, doc=doc)
+
+
+def assignable(name: str, find: Callable[[Any], Any], doc: str) -> Any:
+    """A property that is found out unless it was assigned; what was assigned Dr.Jit's operations don't carry along."""
+    key = f"_{name}"
+
+    def get(self: Any) -> Any:
+        return self.__dict__[key] if key in self.__dict__ else find(self)
+
+    def set_(self: Any, value: Any) -> None:
+        self.__dict__[key] = value
+
+    return property(get, set_, doc=doc)

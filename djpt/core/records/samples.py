@@ -10,11 +10,10 @@ import drjit as dr
 
 from djpt.core.records.interactions import SurfaceInteraction3f
 from djpt.core.records.rays import Ray3f
-from djpt.core.records.record import Record
-from djpt.core.records.scene_ref import SceneRef, latest_scene_ref, scene_of
+from djpt.core.records.record import Record, SceneRef, latest_scene_ref, scene_of
 from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
 
-__all__ = ["NO_EMITTER", "BSDFSample3f", "DirectionSample3f", "EmissionSample", "PositionSample3f"]
+__all__ = ["BSDFSample3f", "DirectionSample3f", "EmissionSample", "PositionSample3f"]
 
 NO_EMITTER = 0xFFFFFFFF
 """A number that no emitter has."""

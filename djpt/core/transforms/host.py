@@ -9,11 +9,13 @@ import drjit.scalar as scalar
 import numpy as np
 
 from djpt.core.numeric import as_array, as_number, as_vector, cross_product, describe
-from djpt.core.transforms.base import Chained, Transform, matrix_of
-from djpt.core.transforms.matrices import (
+from djpt.core.transforms.base import (
     IDENTITIES,
+    Chained,
     Matrix,
+    Transform,
     is_far_from_flat,
+    matrix_of,
     rotation,
     rotation_of_plane,
     treats_alike,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,16 +11,218 @@ from typing import Any
 
 from djpt.core.limits import MAX_FILES, MAX_INCLUDES, MAX_NODES
 from djpt.description.files import FileResolver, file_resolver
+from djpt.description.registry import kind_of, mitsuba_kind_of, unknown
 from djpt.description.xml import source
-from djpt.description.xml.nodes import Node, Reference
-from djpt.description.xml.objects import OBJECTS, check_type, check_types, is_object
-from djpt.description.xml.parameters import Parameters
-from djpt.description.xml.source import Element
-from djpt.description.xml.upgrade import Version, is_old, parse_version, upgrade_name, upgrade_node, upgrade_tag
-from djpt.description.xml.values import VALUES, check_attributes, spectrum_file
+from djpt.description.xml.source import VALUES, Element, Entry, Node, Reference, check_attributes, spectrum_file
 from djpt.errors import FileError, SceneError, near_miss
 
-__all__ = ["Reader"]
+__all__ = ["LONGEST", "OBJECTS", "Parameters", "Reader", "Version", "upgrade_name"]
+
+Version = tuple[int, int, int]
+
+_UV = ("uoffset", "voffset", "uscale", "vscale")
+
+
+def parse_version(text: str) -> Version | None:
+    """Parse a version such as ``3.0.0``; None if it isn't one. Missing parts are 0."""
+    if not re.fullmatch(r"\d{1,6}(\.\d{1,6}){0,2}", text.strip(), re.ASCII):
+        return None
+    parts = [int(part) for part in text.split(".")]
+    major, minor, patch = [*parts, 0, 0][:3]
+    return major, minor, patch
+
+
+def is_old(version: Version) -> bool:
+    """True if files of this version use the old names."""
+    return version < (2, 0, 0)
+
+
+def upgrade_tag(tag: str) -> str:
+    """The current name of a tag."""
+    return "lookat" if tag == "lookAt" else tag
+
+
+def upgrade_name(name: str) -> str:
+    """The current form of a name: ``toWorld`` -> ``to_world``, ``intIOR`` -> ``int_ior``."""
+    return re.sub(r"(?<=[a-z])([A-Z]+)", lambda found: "_" + found[1].lower(), name)
+
+
+def upgrade_node(node: Node) -> None:
+    """Rename and merge parameters, after `upgrade_name`."""
+    reflectance = node.find("diffuse_reflectance")
+    if node.type == "diffuse" and reflectance is not None and node.find("reflectance") is None:
+        reflectance.name = "reflectance"
+    found = {entry.name: entry for entry in node.entries if entry.name in _UV}
+    if not found or not all(isinstance(entry.value, (int, float)) for entry in found.values()):
+        return  # the loader reports what is wrong with other values
+    from djpt.core.transforms import ScalarTransform4f  # here: NumPy takes long to import
+
+    offset = [found[name].value if name in found else 0.0 for name in ("uoffset", "voffset")]
+    scale = [found[name].value if name in found else 1.0 for name in ("uscale", "vscale")]
+    to_uv = ScalarTransform4f.scale([*scale, 1.0]).translate([*offset, 0.0])
+    place = next(iter(found.values())).place
+    node.entries = [entry for entry in node.entries if entry.name not in _UV]
+    node.append(Entry("to_uv", to_uv, place))
+
+
+# ---- the tags that stand for plugins ---------------------------------------------------------
+
+
+OBJECTS = {
+    "scene": "scene",
+    "bsdf": "bsdf",
+    "emitter": "emitter",
+    "film": "film",
+    "integrator": "integrator",
+    "medium": "medium",
+    "phase": "phase",
+    "rfilter": "rfilter",
+    "sampler": "sampler",
+    "sensor": "sensor",
+    "shape": "shape",
+    "texture": "texture",
+    "volume": "volume",
+}
+"""The tags of objects, and the kind of plugin that each holds."""
+
+
+def is_object(element: Element) -> bool:
+    """True if an element stands for a plugin."""
+    return element.tag in OBJECTS or (element.tag == "spectrum" and "type" in element.attributes)
+
+
+def check_types(root: Element) -> None:
+    """Check the plugins of an element and of all below it, before anything is converted.
+
+    Raises `SceneError` for the first one that doesn't exist, as `check_type`. Types with parameters are left out.
+    """
+    elements = [root]
+    while elements:
+        element = elements.pop()
+        if is_object(element) and "$" not in element.attributes.get("type", "$"):
+            check_type(element)
+        elements += reversed(element.children)
+
+
+def check_type(element: Element) -> None:
+    """Raise `SceneError` if neither djpt nor Mitsuba has the plugin of an element, or if its tag is another."""
+    expected, name = OBJECTS.get(element.tag, "texture"), element.attributes["type"]
+    kind = kind_of(name) or mitsuba_kind_of(name)
+    if kind is None:
+        raise element.error(str(unknown(expected, name)))
+    if kind != expected:
+        tag = next((tag for tag, of in OBJECTS.items() if of == kind), kind)
+        raise element.error(f"'{name}' is a {kind}; write <{tag} type=...>")
+
+
+# ---- the parameters ``$name``: their values, and whether they are used -----------------------
+
+
+LONGEST = 1_000_000
+"""Most characters of an attribute after substitution: parameters made of parameters grow exponentially."""
+
+_NAME = re.compile(r"\w*")
+
+
+class Parameters:
+    r"""The parameters of one call of `load_file`, shared by all files that it reads.
+
+    A name is replaced wherever it follows a ``$``, also in the middle of a text; among several that
+    fit, the longest counts. ``\$`` is a plain dollar sign.
+
+    Args:
+        given: the caller's values: strings, numbers, booleans, or sequences of numbers.
+    """
+
+    def __init__(self, given: Mapping[str, Any]) -> None:
+        self._values = {name: _text(name, value) for name, value in given.items()}
+        self._given = frozenset(self._values)
+        self._known: set[str] = set()
+        """Names that a file declares or uses."""
+        self._used: set[str] = set()
+        self._sort()
+
+    def _sort(self) -> None:
+        self._by_length = sorted(self._values, key=len, reverse=True)
+
+    def declare(self, name: str, value: str) -> None:
+        """Declare a ``<default>``, which counts unless there is a value already."""
+        self._known.add(name)
+        if name not in self._values:
+            self._values[name] = value
+            self._sort()
+
+    def substitute(self, text: str) -> str:
+        """`text` with all parameters replaced.
+
+        Raises:
+            SceneError: an unknown parameter, or the result is too long.
+        """
+        if "$" not in text:
+            return text
+        parts, start = [], 0
+        while (at := text.find("$", start)) >= 0:
+            if at > 0 and text[at - 1] == "\\":
+                parts.append(text[start : at - 1] + "$")
+                start = at + 1
+                continue
+            name = next((n for n in self._by_length if text.startswith(n, at + 1)), None)
+            if name is None:
+                raise self._unknown(text[at + 1 :])
+            self._known.add(name)
+            self._used.add(name)
+            parts += [text[start:at], self._values[name]]
+            start = at + 1 + len(name)
+            if sum(map(len, parts)) > LONGEST:
+                raise SceneError(f"longer than {LONGEST} characters after substitution")
+        return "".join([*parts, text[start:]])
+
+    def _unknown(self, rest: str) -> SceneError:
+        found = _NAME.match(rest)
+        name = found[0] if found else ""
+        if not name:
+            hint = "; write $name" if rest.startswith("{") else r"; write \$ for a dollar sign"
+            return SceneError(f"'$' without the name of a parameter{hint}")
+        hint = near_miss(name, self._values)
+        return SceneError(
+            f"unknown parameter '${name}'{hint or f'; give {name}=... or write <default> in front of its first use'}"
+        )
+
+    def check_all_used(self, where: str) -> None:
+        """Raise `SceneError` for a value that was given and that no file uses; `where` names the file."""
+        for name in sorted(self._given - self._used):
+            hint = near_miss(name, self._known - self._given) or "; the file has no parameters"
+            raise SceneError(f"{where}: the parameter '{name}' isn't used{hint}")
+
+
+def _text(name: str, value: Any) -> str:
+    """Convert a parameter's value to the text that a file would have."""
+    if not name:
+        raise SceneError("a parameter needs a name")
+    if isinstance(value, str):
+        return value
+    # Here: only Python callers have other values, and NumPy takes long to import.
+    import numpy as np
+
+    from djpt.core.numeric import as_array, describe
+
+    if isinstance(value, (bool, np.bool_)):
+        return "true" if value else "false"
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    if isinstance(value, (int, np.integer)):
+        return str(int(value))
+    try:
+        numbers = as_array(value)
+    except SceneError:
+        raise SceneError(
+            f"the parameter '{name}' must be a string, a number, a boolean or several numbers, found {describe(value)}"
+        ) from None
+    return " ".join(repr(float(x)) for x in numbers.ravel())
+
+
+# ---- the conversion --------------------------------------------------------------------------
+
 
 _OPERATIONS = ("translate", "scale", "rotate", "lookat", "matrix")
 """The tags within a ``<transform>``."""

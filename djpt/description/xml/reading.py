@@ -7,18 +7,98 @@ once.
 from __future__ import annotations
 
 import os
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
 from djpt.core.files import as_path, require_regular
-from djpt.description.document import Document
-from djpt.description.files import file_resolver
-from djpt.description.xml.naming import Naming
-from djpt.description.xml.nodes import Node
+from djpt.description.files import Document, file_resolver
 from djpt.description.xml.reader import Reader
-from djpt.errors import FileError, SceneError
+from djpt.description.xml.source import Entry, Node, Reference
+from djpt.errors import FileError, SceneError, near_miss
 
 __all__ = ["read_file", "read_string"]
+
+
+class Naming:
+    """The keys of all nodes of a file.
+
+    The key of a node in a scene is its id, elsewhere its name in the object around it (``reflectance``); without
+    one it is the tag: ``shape``, ``shape_1``. An id with dots, as exporters write them, can't be a key and
+    becomes the ``id`` entry of the node.
+
+    Args:
+        ids: all nodes by id, and by alias.
+    """
+
+    def __init__(self, ids: dict[str, Node]) -> None:
+        self.ids = ids
+        self.places: dict[str, str] = {}
+        """File and line of each node and entry, by path."""
+
+    def dict_of(self, node: Node, path: str = "") -> dict[str, Any]:
+        """Convert a node, with all that is nested in it, to a dict. Raises `SceneError`."""
+        self.places[path] = node.place
+        result: dict[str, Any] = {"type": node.type}
+        keys = self._keys(node, at_top=not path)
+        if node.id and node.id != path:
+            result["id"] = node.id
+        for key, entry in zip(keys, node.entries, strict=True):
+            below = f"{path}.{key}" if path else key
+            self.places[below] = entry.place
+            value = entry.value
+            if isinstance(value, Node):
+                value = self.dict_of(value, below)
+            elif isinstance(value, Reference):
+                value = {"type": "ref", "id": self._target(value, entry).id}
+            result[key] = value
+        return result
+
+    def _target(self, reference: Reference, entry: Entry) -> Node:
+        """The node that a reference refers to, directly or by an alias."""
+        if reference.id not in self.ids:
+            hint = near_miss(reference.id, self.ids) or "; no object has an id"
+            raise SceneError(f"{entry.place}: <ref>: nothing has the id '{reference.id}'{hint}")
+        return self.ids[reference.id]
+
+    def _keys(self, node: Node, at_top: bool) -> list[str]:
+        """One key for each entry, in order."""
+        keys = [self._own_key(entry, node.tag == "scene") for entry in node.entries]
+        # At the top of a scene, keys and ids share one space of names.
+        used = {"type", "id", *keys, *(self.ids if at_top else ())}
+        counts: dict[str, int] = {}
+        for i, entry in enumerate(node.entries):
+            if not keys[i]:
+                keys[i] = _unused(self._default_key(entry, node.tag == "scene"), used, counts)
+                used.add(keys[i])
+        return keys
+
+    def _own_key(self, entry: Entry, in_scene: bool) -> str:
+        """The key that the file gives an entry, or an empty string."""
+        if not in_scene:
+            return entry.name
+        if isinstance(entry.value, Node) and entry.value.id:
+            return "" if "." in entry.value.id else entry.value.id
+        return "" if entry.name in self.ids else entry.name
+
+    def _default_key(self, entry: Entry, in_scene: bool) -> str:
+        if isinstance(entry.value, Reference):
+            return self._target(entry.value, entry).tag
+        if not isinstance(entry.value, Node):
+            return entry.name
+        return entry.value.id.replace(".", "_") if in_scene and entry.value.id else entry.value.tag
+
+
+def _unused(key: str, used: Collection[str], counts: dict[str, int]) -> str:
+    """`key`, or the first of ``key_1``, ``key_2``, ... that is free; `counts` has the number reached so far."""
+    found = key
+    while found in used:
+        counts[key] = counts.get(key, 0) + 1
+        found = f"{key}_{counts[key]}"
+    return found
+
+
+# ---- scene files read as dicts ---------------------------------------------------------------
 
 
 def read_file(

@@ -7,12 +7,11 @@ from collections.abc import Callable
 import numpy as np
 
 from djpt.core.transforms import ScalarTransform4f
-from djpt.core.transforms.matrices import rotation
-from djpt.description.xml.source import Element
-from djpt.description.xml.values import check_attributes, number, numbers, vector
+from djpt.core.transforms.base import rotation
+from djpt.description.xml.source import Element, check_attributes, number, numbers, vector
 from djpt.errors import SceneError, near_miss
 
-__all__ = ["OPERATIONS", "transform"]
+__all__ = ["transform"]
 
 
 def transform(element: Element, substitute: Callable[[Element], None]) -> ScalarTransform4f:
@@ -35,14 +34,6 @@ def transform(element: Element, substitute: Callable[[Element], None]) -> Scalar
                 raise
             raise child.error(str(error)) from None
     return result
-
-
-def _translate(element: Element) -> ScalarTransform4f:
-    return ScalarTransform4f.translate(vector(element, 0.0))
-
-
-def _scale(element: Element) -> ScalarTransform4f:
-    return ScalarTransform4f.scale(vector(element, 1.0))
 
 
 def _rotate(element: Element) -> ScalarTransform4f:
@@ -91,8 +82,8 @@ def _matrix(element: Element) -> ScalarTransform4f:
 
 
 OPERATIONS: dict[str, Callable[[Element], ScalarTransform4f]] = {
-    "translate": _translate,
-    "scale": _scale,
+    "translate": lambda element: ScalarTransform4f.translate(vector(element, 0.0)),
+    "scale": lambda element: ScalarTransform4f.scale(vector(element, 1.0)),
     "rotate": _rotate,
     "lookat": _look_at,
     "matrix": _matrix,

@@ -18,7 +18,7 @@ from djpt.core.transforms import ScalarTransform3f, ScalarTransform4f, matrix_of
 from djpt.description.loader import Loader
 from djpt.description.plugin import Plugin
 from djpt.description.registry import kind_of, mitsuba_kind_of, unknown
-from djpt.description.xml.objects import OBJECTS
+from djpt.description.xml.reader import OBJECTS
 from djpt.errors import SceneError
 
 __all__ = ["to_xml", "write_dict"]

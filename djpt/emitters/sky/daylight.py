@@ -22,9 +22,9 @@ from djpt.core.records import (
     SurfaceInteraction3f,
 )
 from djpt.core.warp import square_to_uniform_disk_concentric
-from djpt.description.allowed import bounds as within
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
+from djpt.description.properties import bounds as within
 from djpt.emitters.bounds import LightBounds
 from djpt.emitters.extent import number
 from djpt.emitters.oriented import OrientedEmitter

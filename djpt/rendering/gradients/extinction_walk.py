@@ -18,7 +18,7 @@ from typing import Any
 import drjit as dr
 
 from djpt.core.records import Ray3f
-from djpt.core.records.media import MediumInteraction3f
+from djpt.core.records.interactions import MediumInteraction3f
 from djpt.dispatch.ensemble import Detached
 from djpt.integrators.base import PathIntegrator, PathState
 from djpt.integrators.volpath import VolumetricPathState

@@ -21,8 +21,7 @@ from typing import Any, ClassVar
 
 import drjit as dr
 
-from djpt.films.footprint import SpreadReader
-from djpt.films.splats import ChangeSplats
+from djpt.films.footprint import ChangeSplats, SpreadReader
 from djpt.jit.types import Bool, Color3f, Point2f, UInt32
 from djpt.rendering.gradients.zero_weights import TINY
 

@@ -9,8 +9,7 @@ from typing import Any
 import drjit as dr
 
 from djpt.errors import RenderError
-from djpt.films.footprint import SpreadReader, in_window
-from djpt.films.splats import ChangeSplats
+from djpt.films.footprint import ChangeSplats, SpreadReader, in_window
 from djpt.integrators.bdpt import BidirectionalPath
 from djpt.integrators.ptracer import ParticleTracer
 from djpt.jit.kernels import opaque

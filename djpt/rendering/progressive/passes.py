@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar
 
-from djpt.core.process.interruption import Interruption
+from djpt.core.interruption import Interruption
 from djpt.errors import RenderError
 from djpt.jit.frozen import recording
 from djpt.jit.types import TensorXf

@@ -13,7 +13,7 @@ import drjit as dr
 import numpy as np
 import numpy.typing as npt
 
-from djpt.core.process.interruption import interruptible
+from djpt.core.interruption import interruptible
 from djpt.description.registry import name_of
 from djpt.errors import RenderError
 from djpt.images.image import check_writable, checked_labels

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 import drjit as dr
 
-from djpt.core.process.interruption import Interruption
+from djpt.core.interruption import Interruption
 from djpt.core.records import Ray3f
 from djpt.dispatch.ensemble import Detached, Ensemble
 from djpt.errors import RenderError

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from djpt.core.process.memory import RESERVE, free_memory, shortage
+from djpt.core.memory import RESERVE, free_memory, shortage
 from djpt.errors import RenderError
 from djpt.rendering.schedules.film_accumulation import CHANNELS
 from djpt.rendering.schedules.job import Job

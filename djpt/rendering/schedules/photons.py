@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import drjit as dr
 import numpy as np
 
-from djpt.films.splats import Splats
+from djpt.films.footprint import Splats
 from djpt.integrators.photons import PhotonMap, PhotonStore
 from djpt.integrators.photons.photon_mapping import PhotonMapping
 from djpt.jit.llvm.lanes import small_blocks

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import drjit as dr
 
-from djpt.films.splats import Splats
+from djpt.films.footprint import Splats
 from djpt.integrators.base import Integrator
 from djpt.integrators.bidirectional.splatting import SplattingIntegrator
 from djpt.jit.types import Bool, Color3f, Float, TensorXf, UInt32

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from typing import TYPE_CHECKING, Any
 
-from djpt.description.frame_change import NotMovable
+from djpt.description.plugin import NotMovable
 from djpt.jit.frozen import recording
 from djpt.jit.kernels import may_wait
 from djpt.scene.normalization.frame import working_frame

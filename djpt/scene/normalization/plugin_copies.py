@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.core.transforms import ScalarTransform4f
-from djpt.description.frame_change import NotMovable
-from djpt.description.plugin import Plugin
+from djpt.description.plugin import NotMovable, Plugin
 from djpt.scene.normalization.frame import WorkingFrame
 from djpt.scene.normalization.rescaled import rescaled
 
@@ -23,7 +22,7 @@ OWN = ("shape", "emitter", "sensor")
 
 
 class PluginCopies:
-    """The `djpt.description.frame_change.Frame` that plugins move into: it makes one copy of each.
+    """The `djpt.description.plugin.Frame` that plugins move into: it makes one copy of each.
 
     A copy in which nothing has changed is dropped, and the plugin shared by both scenes.
     """

@@ -13,9 +13,9 @@ from djpt.core.warp import (
     interval_to_tangent_direction,
     square_to_uniform_sphere,
     tangent_direction_to_interval,
+    turns,
     uniform_sphere_to_square,
 )
-from djpt.core.warp.disk import turns
 from djpt.jit.types import Bool, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
 from djpt.shapes.silhouettes.base import (
     INSET,

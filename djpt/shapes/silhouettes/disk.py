@@ -8,8 +8,7 @@ from collections.abc import Callable
 import drjit as dr
 
 from djpt.core.records import SurfaceInteraction3f
-from djpt.core.warp import square_to_uniform_sphere, uniform_sphere_to_square
-from djpt.core.warp.disk import turns
+from djpt.core.warp import square_to_uniform_sphere, turns, uniform_sphere_to_square
 from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.shapes.silhouettes.base import PERIMETER, away_from
 from djpt.shapes.silhouettes.flat import FlatSilhouette

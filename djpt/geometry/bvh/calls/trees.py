@@ -12,7 +12,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.core.process.memory import shortage
+from djpt.core.memory import shortage
 from djpt.core.records import Ray3f
 from djpt.errors import SceneError
 from djpt.geometry.bvh.build.builder import Built, build, refit, workers

@@ -1,4 +1,4 @@
-"""Shared parts of the commands that render animations: options, and the rendering of frames and movies."""
+"""The commands ``djpt turntable`` and ``djpt animate``, which render frames and movies."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from djpt.apps.cli import options
-from djpt.apps.cli.console import parameters, require_positive, say
-from djpt.errors import RenderError
+from djpt.apps.cli.console import Command, parameters, require_positive, say
+from djpt.errors import ParameterError, RenderError
 from djpt.rendering.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from djpt.scene.scene import Scene
     from djpt.sensors import Sensor
 
-__all__ = ["animate", "of_frames"]
+__all__ = ["animate", "turntable"]
 
 Decorated = TypeVar("Decorated", bound=Callable[..., Any])
 
@@ -59,7 +59,63 @@ def of_frames(command: Decorated) -> Decorated:
     return command
 
 
-def animate(
+@click.command("turntable", cls=Command, epilog=options.SCENE)
+@of_frames
+@click.option("--degrees", type=float, default=360.0, help="Total angle of the orbit.")
+def turntable(degrees: float, **chosen: Any) -> None:
+    """Render SCENE from all sides.
+
+    The camera orbits the centre of its view at constant height; a full turn ends one step before the first frame.
+    Existing frames are not rendered again.
+    """
+
+    def turning(scene: Scene, sensor: Sensor) -> dict[str, Moving]:
+        import djpt
+        from djpt.apps.animation.tracks import TurningCamera
+        from djpt.apps.orbit import OrbitCamera
+
+        names = djpt.traverse(scene).names_of(sensor)
+        key = next((name for name in names if name.rpartition(".")[2] == "to_world"), None)
+        if key is None:
+            raise djpt.RenderError(f"'{sensor.id()}' can't be moved")
+        return {key: TurningCamera(OrbitCamera.of(scene, sensor), degrees / chosen["frames"])}
+
+    write(turning, **chosen)
+
+
+@click.command("animate", cls=Command, epilog=options.SCENE)
+@of_frames
+@click.option(
+    "--set",
+    "tracks",
+    metavar="KEY=FRAME:VALUE;..",
+    multiple=True,
+    help="Keyframes of a parameter: its values at given frames, counted from 0. A value is a number, comma-separated "
+    "numbers, or the 16 entries of a matrix. May be repeated.",
+)
+def animate(tracks: tuple[str, ...], **chosen: Any) -> None:
+    """Render an animation of parameters of SCENE.
+
+    The parameters are those of `djpt.traverse`. Existing frames are not rendered again.
+    """
+    if not tracks:
+        raise ParameterError("nothing moves: name a parameter with --set KEY=FRAME:VALUE;FRAME:VALUE")
+    texts = {}
+    for text in tracks:
+        key, equals, values = text.partition("=")
+        if not equals or key in texts:
+            raise ParameterError(f"--set takes KEY=FRAME:VALUE;.. once for each KEY, found '{text}'")
+        texts[key] = values
+
+    def moving(scene: Any, sensor: Any) -> dict[str, Any]:
+        from djpt.apps.animation.tracks import Track
+
+        return {key: Track.parse(values) for key, values in texts.items()}
+
+    write(moving, **chosen)
+
+
+def write(
     moving: Callable[[Scene, Sensor], Mapping[str, Moving]],
     *,
     scene: str,
@@ -86,9 +142,8 @@ def animate(
     require_positive(spp=spp, frames=frames, width=width, height=height)
     description = described(scene, parameters(define))[1]
     import djpt
-    from djpt.apps.animation.frames import render_frames
-    from djpt.apps.animation.movie import MOVIES, check_movie, write_movie
-    from djpt.apps.cli.tone import Tone
+    from djpt.apps.animation.frames import MOVIES, check_movie, render_frames, write_movie
+    from djpt.apps.cli.pictures import Tone
     from djpt.scene.arguments import find_sensor
 
     if output.suffix.lower() in MOVIES and not output.is_dir():

@@ -1,18 +1,18 @@
-"""A render in a notebook: its image below the cell, while it gets better."""
+"""Results in notebooks: images below the cell, also of a render while it gets better."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from djpt.errors import RenderError
-from djpt.rendering.progress import running_notebook
+from djpt.rendering.progress import running_notebook, running_shell
 
 if TYPE_CHECKING:
     from djpt.rendering.progressive.accumulation import Accumulation
 
-__all__ = ["show_passes"]
+__all__ = ["LEAST_SIZE", "picture_of", "show_images", "show_passes"]
 
 INTERVAL = 0.5
 """The least time between two pictures, in seconds."""
@@ -65,3 +65,41 @@ def displayed(found: Accumulation, handle: object) -> object:
         return display(html, display_id=True)
     handle.update(html)  # type: ignore[attr-defined]
     return handle
+
+
+# ---- images that show themselves -------------------------------------------------------------
+
+
+TENSORS = tuple((f"drjit.{backend}{ad}", "TensorXf") for backend in ("llvm", "cuda") for ad in (".ad", ""))
+"""The classes of images: their modules and names, so that none has to be imported."""
+
+LEAST_SIZE = 8
+"""Images have at least so many rows and columns; smaller tensors are shown as numbers."""
+
+
+def show_images() -> None:
+    """Let IPython, if it runs, show tensors of the shape of an image as a picture."""
+    shell = running_shell()
+    if shell is not None:
+        formatter = shell.display_formatter.formatters["image/png"]
+        for module, name in TENSORS:
+            formatter.for_type_by_name(module, name, picture_of)
+
+
+def picture_of(tensor: Any) -> bytes | None:
+    """An image (H, W, C) as the bytes of a PNG, see `djpt.Image`; None for what isn't an image.
+
+    Rendering is finished first; gradients stay as they are.
+    """
+    shape = tensor.shape
+    if len(shape) != 3 or min(shape[:2]) < LEAST_SIZE or shape[2] < 1:
+        return None
+    import drjit as dr
+
+    from djpt.errors import FileError
+    from djpt.images.image import Image
+
+    try:
+        return Image(dr.detach(tensor))._repr_png_()
+    except FileError:
+        return None

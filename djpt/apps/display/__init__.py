@@ -1,1 +1,0 @@
-"""The display of results in notebooks and terminals: images as the result of a cell, and progress bars."""

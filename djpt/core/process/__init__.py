@@ -1,1 +1,0 @@
-"""The process: the memory that it can take, and the signals that end it."""
