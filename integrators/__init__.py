@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from djpt.integrators.base import PathState as PathState
     from djpt.integrators.base import Vertex as Vertex
     from djpt.integrators.bdpt import BidirectionalPath as BidirectionalPath
-    from djpt.integrators.bidirectional.splatting import SplattingIntegrator as SplattingIntegrator
+    from djpt.integrators.bidirectional.strategies import SplattingIntegrator as SplattingIntegrator
     from djpt.integrators.depth import Depth as Depth
     from djpt.integrators.direct import Direct as Direct
     from djpt.integrators.direct_projective import DirectProjectiveIntegrator as DirectProjectiveIntegrator

@@ -13,8 +13,13 @@ from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
 from djpt.errors import RenderError
 from djpt.integrators.bidirectional.light_paths import LightVertex, departure, is_beam, vertices
-from djpt.integrators.bidirectional.splatting import Sink, SplattingIntegrator
-from djpt.integrators.bidirectional.strategies import MAX_PYRAMID, StrategyImages, layer_names
+from djpt.integrators.bidirectional.strategies import (
+    MAX_PYRAMID,
+    Sink,
+    SplattingIntegrator,
+    StrategyImages,
+    layer_names,
+)
 from djpt.integrators.bidirectional.subpath import (
     CameraHit,
     CameraLane,

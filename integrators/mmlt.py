@@ -18,7 +18,7 @@ from djpt.integrators.paths.passes import PassIntegrator, Walks
 from djpt.integrators.paths.scene_checks import refuse_scattering_media
 from djpt.jit.frozen import recording
 from djpt.jit.types import Color3f, Float, UInt32
-from djpt.samplers.hashing import sample_tea_32
+from djpt.samplers.seeds import sample_tea_32
 from djpt.sensors.base import Sensor
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ import functools
 import math
 import operator
 from collections.abc import Callable, Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol
 
 import drjit as dr
 
@@ -18,7 +18,7 @@ from djpt.dispatch.scripted import accept_scripts
 from djpt.errors import RenderError, near_miss
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Vector3f
 
-__all__ = ["BSDF"]
+__all__ = ["BSDF", "BSDFAtPoint", "DeltaBSDF", "SharedWorkBSDF", "derivative_of_choice"]
 
 
 class BSDF(Plugin):
@@ -242,3 +242,76 @@ CONVERSIONS: dict[str, Callable[[Any], Any]] = {
     "eval_diffuse_reflectance": Color3f,
     "transmittance": Color3f,
 }
+
+
+class BSDFAtPoint(Protocol):
+    """A BSDF at one surface point, seen from one direction: arguments and results as in `BSDF`."""
+
+    def eval_pdf(self, wo: Vector3f) -> tuple[Color3f, Float]:
+        """The value f abs(cos theta_o), and the density of `sample` at `wo`."""
+
+    def sample(self, sample1: Float, sample2: Point2f) -> tuple[BSDFSample3f, Color3f]:
+        """A sampled direction and its weight."""
+
+
+class SharedWorkBSDF(BSDF):
+    """A BSDF with one method to override, `at`, which computes once all that depends on `wi` and the point alone."""
+
+    def at(self, ctx: BSDFContext, si: SurfaceInteraction3f, active: Bool | bool) -> BSDFAtPoint:
+        """The BSDF at `si`, seen from `si.wi`."""
+        raise NotImplementedError
+
+    def sample(
+        self,
+        ctx: BSDFContext,
+        si: SurfaceInteraction3f,
+        sample1: Float,
+        sample2: Point2f,
+        active: Bool | bool = True,
+    ) -> tuple[BSDFSample3f, Color3f]:
+        if not self.is_asked(ctx):
+            return BSDFSample3f.none(), Color3f(0)
+        return self.at(ctx, si, active).sample(sample1, sample2)
+
+    def eval_pdf(
+        self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
+    ) -> tuple[Color3f, Float]:
+        if not self.is_asked(ctx):
+            return Color3f(0), Float(0)
+        return self.at(ctx, si, active).eval_pdf(wo)
+
+    def eval_pdf_sample(
+        self,
+        ctx: BSDFContext,
+        si: SurfaceInteraction3f,
+        wo: Vector3f,
+        sample1: Float,
+        sample2: Point2f,
+        active: Bool | bool = True,
+    ) -> tuple[Color3f, Float, BSDFSample3f, Color3f]:
+        if not self.is_asked(ctx):
+            return Color3f(0), Float(0), BSDFSample3f.none(), Color3f(0)
+        here = self.at(ctx, si, active)
+        return *here.eval_pdf(wo), *here.sample(sample1, sample2)
+
+
+class DeltaBSDF(BSDF):
+    """A BSDF whose lobes are all delta distributions: only `sample` finds their directions, `eval` and `pdf` are 0."""
+
+    def eval(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Color3f:
+        return Color3f(0)
+
+    def pdf(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Float:
+        return Float(0)
+
+
+def derivative_of_choice(probability: Float) -> Float:
+    """The number 1 with the derivative of `probability` / detach(`probability`).
+
+    A factor of the weight of a lobe that was chosen with this probability because it carries this fraction of the
+    light: the choice isn't differentiated, the fraction must be.
+    """
+    if not dr.grad_enabled(probability):
+        return Float(1)
+    share = probability * dr.rcp(dr.select(probability > 0, dr.detach(probability), 1))
+    return dr.replace_grad(Float(1), share)  # type: ignore[func-returns-value, return-value]

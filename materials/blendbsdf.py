@@ -9,8 +9,7 @@ from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
 from djpt.errors import SceneError
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Vector3f
-from djpt.materials.base import BSDF
-from djpt.materials.delta import derivative_of_choice
+from djpt.materials.base import BSDF, derivative_of_choice
 from djpt.materials.mask import rescaled, unit_interval
 
 __all__ = ["BlendBSDF"]

@@ -8,7 +8,7 @@ from djpt.core.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInter
 from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
 from djpt.jit.types import Bool, Color3f, Float, Point2f
-from djpt.materials.delta import DeltaBSDF
+from djpt.materials.base import DeltaBSDF
 from djpt.materials.fresnel import fresnel_conductor, reflect
 from djpt.materials.metals import metal
 

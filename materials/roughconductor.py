@@ -11,11 +11,11 @@ from djpt.description.plugin import TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Vector3f
+from djpt.materials.base import BSDFAtPoint, SharedWorkBSDF
 from djpt.materials.dielectric import optional_texture, tint
 from djpt.materials.fresnel import fresnel_conductor, reflect
 from djpt.materials.metals import metal
 from djpt.materials.microfacet import MicrofacetDistribution, alpha_textures, distribution_name
-from djpt.materials.shared_work import BSDFAtPoint, SharedWorkBSDF
 
 __all__ = ["RoughConductor"]
 

@@ -23,8 +23,7 @@ from djpt.description.allowed import LARGEST
 from djpt.description.plugin import TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_emitter
-from djpt.emitters.base import Emitter
-from djpt.emitters.bounds import LightBounds
+from djpt.emitters.base import Emitter, LightBounds
 from djpt.emitters.extent import area_of, mean_of, normals_of, require_area
 from djpt.errors import SceneError
 from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, Vector3f

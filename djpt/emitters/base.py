@@ -2,31 +2,43 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from djpt.core.numeric import non_negative
-from djpt.core.records import (
-    DirectionSample3f,
-    EmissionSample,
-    EmitterFlags,
-    Observer,
-    SurfaceInteraction3f,
-    has_flag,
-)
+from djpt.core.records import DirectionSample3f, EmissionSample, EmitterFlags, Observer, SurfaceInteraction3f, has_flag
 from djpt.description.frame_change import NotMovable
 from djpt.description.plugin import TraversalCallback
 from djpt.description.properties import Properties
-from djpt.emitters.bounds import LightBounds
 from djpt.emitters.mitsuba_api import EmitterQuestions
 from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, Vector3f
 
 if TYPE_CHECKING:
     from djpt.description.frame_change import Frame
 
-__all__ = ["Emitter"]
+__all__ = ["Emitter", "LightBounds"]
+
+
+@dataclass(frozen=True)
+class LightBounds:
+    """A box that holds the emitter, and a cone that holds the directions of its light.
+
+    The normals of what shines lie within `theta_o` of `axis`, and light leaves within `theta_e` of a
+    normal (A. Conty Estevez and C. Kulla, "Importance Sampling of Many Lights with Adaptive Tree
+    Splitting", 2018). World space; angles in radians.
+    """
+
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    axis: NDArray[np.float64]
+    """The cone's axis, of unit length."""
+    theta_o: float
+    theta_e: float
+    power: float
+    """The emitted power in W, an estimate: see `Emitter.power`."""
 
 
 class Emitter(EmitterQuestions):

@@ -17,8 +17,7 @@ from djpt.description.allowed import LARGEST
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_emitter
-from djpt.emitters.base import Emitter
-from djpt.emitters.bounds import LightBounds
+from djpt.emitters.base import Emitter, LightBounds
 from djpt.emitters.extent import mean_of, number
 from djpt.jit.kernels import as_float, as_vector
 from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, UInt32, Vector3f

@@ -18,7 +18,7 @@ from djpt.description.allowed import LARGEST
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.description.registry import register_emitter
-from djpt.emitters.bounds import LightBounds
+from djpt.emitters.base import LightBounds
 from djpt.emitters.extent import mean_of, number
 from djpt.emitters.oriented import OrientedEmitter
 from djpt.errors import SceneError

@@ -21,7 +21,7 @@ from djpt.description.registry import register_emitter
 from djpt.distributions import Hierarchical2D
 from djpt.distributions.grids import luminance, side_by_side
 from djpt.distributions.hierarchical_2d import entry, place_in_cell
-from djpt.emitters.bounds import LightBounds
+from djpt.emitters.base import LightBounds
 from djpt.emitters.extent import number
 from djpt.emitters.oriented import OrientedEmitter
 from djpt.errors import ParameterError, SceneError

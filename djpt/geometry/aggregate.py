@@ -25,10 +25,9 @@ from djpt.geometry.unrolled import Unrolled
 from djpt.jit.kernels import as_vector
 from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.shapes.axes import AxisPool
-from djpt.shapes.base import Shape
+from djpt.shapes.base import Shape, Surface
 from djpt.shapes.instance import Instance
 from djpt.shapes.shapegroup import ShapeGroup
-from djpt.shapes.surface import Surface
 
 if TYPE_CHECKING:
     from djpt.geometry.triangles import Triangles

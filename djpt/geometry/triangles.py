@@ -25,8 +25,8 @@ from djpt.geometry.triangle import RayPlane, intersect_triangle
 from djpt.geometry.two_level_bvh import TwoLevelBVH
 from djpt.jit.kernels import float_in
 from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.shapes.base import Surface
 from djpt.shapes.meshes.mesh_set import MeshSet
-from djpt.shapes.surface import Surface
 
 if TYPE_CHECKING:
     from djpt.shapes.mesh import Mesh

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
 
+from djpt.core.numeric import non_negative
 from djpt.core.records import Ray3f, SurfaceInteraction3f
 from djpt.core.records.media import MediumInteraction3f
 from djpt.description.frame_change import NotMovable
@@ -14,6 +15,7 @@ from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import lookup
 from djpt.dispatch.scripted import accept_scripts
+from djpt.jit.frozen import recording
 from djpt.jit.kernels import maximum, minimum
 from djpt.jit.types import Bool, Color3f, Float, UInt32
 from djpt.media import tracking
@@ -23,7 +25,7 @@ from djpt.samplers.base import SampleStream
 if TYPE_CHECKING:
     from djpt.description.frame_change import Frame
 
-__all__ = ["Medium"]
+__all__ = ["Medium", "as_scale"]
 
 
 class Medium(Plugin):
@@ -226,3 +228,16 @@ CONVERSIONS: dict[str, Callable[[Any], Any]] = {
     "get_scattering_coefficients": lambda found: tuple(Color3f(color) for color in found),
     "intersect_aabb": as_span,
 }
+
+
+def as_scale(value: Any) -> Float:
+    """Convert an edited `scale`; gradients are kept.
+
+    Raises:
+        SceneError: Not one finite number that is at least 0.
+    """
+    if recording():
+        return Float(value)
+    attached = dr.is_array_v(value) and dr.grad_enabled(value)
+    number = non_negative(dr.detach(value) if attached else value)
+    return Float(value) if attached else dr.opaque(Float, number)

@@ -17,8 +17,7 @@ from djpt.description.registry import register_medium
 from djpt.dispatch.tables import entry_at
 from djpt.jit.kernels import as_float, as_vector, maximum, minimum
 from djpt.jit.types import Bool, Color3f, Float, TensorXf, UInt32, Vector3f
-from djpt.media.base import Medium
-from djpt.media.scaling import as_scale
+from djpt.media.base import Medium, as_scale
 from djpt.media.tracking import Majorants
 
 if TYPE_CHECKING:

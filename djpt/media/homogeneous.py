@@ -16,9 +16,8 @@ from djpt.description.registry import register_medium
 from djpt.errors import SceneError
 from djpt.jit.kernels import as_float, maximum, minimum
 from djpt.jit.types import Bool, Color3f, Float, UInt32
-from djpt.media.base import Medium
+from djpt.media.base import Medium, as_scale
 from djpt.media.flight import FAR, Flight, of_channel
-from djpt.media.scaling import as_scale
 from djpt.samplers.base import SampleStream
 
 if TYPE_CHECKING:

@@ -13,8 +13,7 @@ from djpt.core.records.media import MediumInteraction3f
 from djpt.description.properties import Properties
 from djpt.description.registry import register_phase
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Vector3f
-from djpt.phase.base import PhaseFunction
-from djpt.phase.directions import around
+from djpt.phase.base import PhaseFunction, around
 
 __all__ = ["RayleighPhaseFunction"]
 

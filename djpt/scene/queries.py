@@ -33,7 +33,7 @@ class SceneQueries(Plugin):
     kind: ClassVar[str] = "scene"
     units: Any = None
     """Of a scene in a working frame: what lengths and points are in its description
-    (`djpt.scene.normalization.units`)."""
+    (`djpt.scene.normalization.frame`)."""
     is_view = False
     """Whether it is a view of a scene, which rendering has made."""
 

@@ -24,7 +24,22 @@ from djpt.shapes.mitsuba_api import ShapeQuestions
 if TYPE_CHECKING:
     from djpt.description.frame_change import Frame
 
-__all__ = ["Face", "Hit", "Shape", "towards"]
+__all__ = ["Face", "Hit", "Shape", "Surface", "towards"]
+
+
+@dataclass
+class Surface:
+    """A point on a surface."""
+
+    p: Point3f
+    n: Vector3f
+    """Geometric normal."""
+    sh_frame: Frame3f
+    uv: Point2f
+    dp_du: Vector3f
+    dp_dv: Vector3f
+    prim_uv: Point2f
+    """Barycentric weights of a triangle's second and third corner; 0 on other shapes."""
 
 
 @dataclass(frozen=True)

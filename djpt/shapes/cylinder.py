@@ -19,8 +19,8 @@ from djpt.jit.kernels import as_float
 from djpt.jit.types import Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.shapes.axes import AxisPool, ProjectedRay
 from djpt.shapes.base import Hit
+from djpt.shapes.mitsuba_api import ShapeType
 from djpt.shapes.revolution import Revolution, along
-from djpt.shapes.shape_type import ShapeType
 
 if TYPE_CHECKING:
     from djpt.shapes.silhouettes.base import Silhouette

@@ -11,7 +11,7 @@ from djpt.description.registry import register_shape
 from djpt.shapes.axes import AxisPool
 from djpt.shapes.curve_segments import CurveSegments, ellipsoid_pieces
 from djpt.shapes.ellipsoid_cloud import Cloud
-from djpt.shapes.shape_type import ShapeType
+from djpt.shapes.mitsuba_api import ShapeType
 
 __all__ = ["Ellipsoids"]
 

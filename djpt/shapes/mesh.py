@@ -24,7 +24,7 @@ from djpt.shapes.meshes.data import MeshData, unit
 from djpt.shapes.meshes.making import Edits, check_prefix, of_arrays, of_zeros, rows
 from djpt.shapes.meshes.measures import Measures, is_closed, is_remote
 from djpt.shapes.meshes.queries import MeshQueries
-from djpt.shapes.shape_type import ShapeType
+from djpt.shapes.mitsuba_api import ShapeType
 
 if TYPE_CHECKING:
     from djpt.description.frame_change import Frame

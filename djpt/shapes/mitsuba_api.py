@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import enum
 import weakref
 from collections.abc import Sequence
 from typing import Any, ClassVar
@@ -25,11 +26,27 @@ from djpt.description.properties import Properties
 from djpt.description.registry import lookup
 from djpt.errors import SceneError
 from djpt.jit.types import Bool, Float, Point2f, UInt32
-from djpt.shapes.shape_type import ShapeType
 from djpt.shapes.silhouettes.mitsuba_api import SilhouetteQuestions
 from djpt.shapes.texture_attributes import TextureAttributes
 
-__all__ = ["ShapeQuestions"]
+__all__ = ["ShapeQuestions", "ShapeType"]
+
+
+class ShapeType(enum.IntFlag):
+    """The kinds of shapes; the values are Mitsuba's. djpt's own shapes are `Other`."""
+
+    Invalid = 0
+    Mesh = 1
+    Rectangle = 3
+    BSplineCurve = 4
+    LinearCurve = 8
+    Cylinder = 16
+    Disk = 32
+    SDFGrid = 64
+    Sphere = 128
+    Ellipsoids = 256
+    EllipsoidsMesh = 513
+    Other = 1024
 
 
 class ShapeQuestions(TextureAttributes, SilhouetteQuestions):

@@ -18,7 +18,7 @@ from djpt.jit.kernels import as_float, as_vector
 from djpt.jit.types import Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.shapes.axes import AxisPool, ProjectedRay, SignedAxis
 from djpt.shapes.base import Face, Hit, Shape
-from djpt.shapes.shape_type import ShapeType
+from djpt.shapes.mitsuba_api import ShapeType
 
 if TYPE_CHECKING:
     from djpt.shapes.silhouettes.base import Silhouette

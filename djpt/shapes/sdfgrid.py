@@ -20,7 +20,7 @@ from djpt.description.registry import register_shape
 from djpt.errors import DjptError, FileError, ParameterError
 from djpt.jit.types import Array4f, Float, Int32, Point2f, Point3f, TensorXf, UInt32, Vector3f
 from djpt.shapes.level_set import PLACE, LevelSet, gradient
-from djpt.shapes.shape_type import ShapeType
+from djpt.shapes.mitsuba_api import ShapeType
 from djpt.volumes.volume_grid import VolumeGrid
 
 __all__ = ["SDFGrid", "read_volume"]

@@ -19,8 +19,8 @@ from djpt.integrators.markov.mutations import Mutated
 from djpt.jit.kernels import loop_traced_once, maximum, own_copy, own_floats, while_loop
 from djpt.jit.llvm.lanes import small_blocks
 from djpt.jit.types import Bool, Color3f, Float, Point2f, UInt32
-from djpt.samplers.hashing import sample_tea_32
 from djpt.samplers.independent import IndependentStream
+from djpt.samplers.seeds import sample_tea_32
 
 __all__ = ["Bootstrap", "MarkovChains", "brightness"]
 

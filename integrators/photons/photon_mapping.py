@@ -10,7 +10,7 @@ import drjit as dr
 from djpt.core.records import BSDFFlags, SurfaceInteraction3f, has_flag
 from djpt.description.properties import Properties
 from djpt.errors import RenderError
-from djpt.integrators.bidirectional.splatting import SplattingIntegrator
+from djpt.integrators.bidirectional.strategies import SplattingIntegrator
 from djpt.integrators.photons import Photon, PhotonMap, PhotonStore
 from djpt.integrators.photons.photon import bytes_of, require_memory
 from djpt.jit.frozen import recording

@@ -24,6 +24,6 @@ def make_light_sampler(name: str, emitters: Sequence[Emitter]) -> LightSampler:
         from djpt.emitters.light_samplers.weighted import WeightedLightSampler
 
         return WeightedLightSampler(emitters, by_power=name == "power")
-    from djpt.emitters.light_samplers.uniform import UniformLightSampler
+    from djpt.emitters.light_samplers.weighted import UniformLightSampler
 
     return UniformLightSampler(emitters)

@@ -16,7 +16,7 @@ from djpt.emitters.light_samplers.tree_nodes import children, pack
 from djpt.errors import SceneError
 from djpt.jit.kernels import own_copy, while_loop
 from djpt.jit.types import Float, Point3f, UInt32, Vector3f
-from djpt.samplers.hashing import sample_tea_32
+from djpt.samplers.seeds import sample_tea_32
 
 __all__ = ["TreeLightSampler"]
 

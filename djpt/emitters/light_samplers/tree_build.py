@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.emitters.bounds import LightBounds
+from djpt.emitters.base import LightBounds
 
 __all__ = ["LEAF", "Lights", "Tree", "angle_between", "build", "solid_angle", "unit"]
 

@@ -25,7 +25,7 @@ from djpt.core.warp import square_to_uniform_disk_concentric
 from djpt.description.allowed import bounds as within
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
-from djpt.emitters.bounds import LightBounds
+from djpt.emitters.base import LightBounds
 from djpt.emitters.extent import number
 from djpt.emitters.oriented import OrientedEmitter
 from djpt.emitters.sky.disc import WAVELENGTHS, SunDisc

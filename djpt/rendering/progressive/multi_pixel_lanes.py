@@ -18,12 +18,12 @@ from djpt.jit.llvm.lanes import small_blocks
 from djpt.jit.types import Array3f, Float, Point2f, UInt32
 from djpt.rendering.schedules.base import Schedule
 from djpt.rendering.schedules.called_sums import CalledSums, prepare_function, usable
-from djpt.rendering.schedules.canvas import Summed
 from djpt.rendering.schedules.film_accumulation import Taps
 from djpt.rendering.schedules.flat import Flat, run, spread_called
 from djpt.rendering.schedules.job import Band, Job
 from djpt.rendering.schedules.lanes import Lanes, lanes_per_pixel
 from djpt.rendering.schedules.passes import filtered_rows
+from djpt.rendering.schedules.reconstruction import Summed
 from djpt.rendering.schedules.sinks import CalledFilmSums, Finished
 from djpt.samplers import SampleStream
 

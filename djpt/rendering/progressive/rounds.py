@@ -27,11 +27,10 @@ from djpt.rendering.gradients.leaves import attached_parameters
 from djpt.rendering.gradients.own_rendering import image_by_itself
 from djpt.rendering.image import centres, make_job, require_still
 from djpt.rendering.progressive.multi_pixel_lanes import MultiPixelJob, multi_pixel_rows, pixels_per_lane
-from djpt.rendering.schedules.canvas import Summed
 from djpt.rendering.schedules.choice import choose
 from djpt.rendering.schedules.job import Job
 from djpt.rendering.schedules.memory import check_memory
-from djpt.rendering.schedules.reconstruction import Rows
+from djpt.rendering.schedules.reconstruction import Rows, Summed
 from djpt.rendering.settings import RenderSettings
 from djpt.samplers.seeds import Seed
 from djpt.scene.scene import Scene

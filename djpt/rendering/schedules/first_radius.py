@@ -22,8 +22,8 @@ from djpt.integrators.photons.photon_mapping import scatters
 from djpt.jit.kernels import loop_traced_once, wide
 from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, UInt32
 from djpt.rendering.schedules.job import Job
-from djpt.samplers.hashing import sample_tea_32
 from djpt.samplers.independent import IndependentStream
+from djpt.samplers.seeds import sample_tea_32
 
 __all__ = ["Seen", "radius_of_crowd", "seen_from"]
 

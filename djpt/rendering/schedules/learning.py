@@ -15,13 +15,13 @@ from djpt.integrators.guiding.learning import LearningIntegrator
 from djpt.jit.frozen import recording
 from djpt.jit.types import UInt32
 from djpt.rendering.schedules.base import Schedule
-from djpt.rendering.schedules.canvas import Summed
 from djpt.rendering.schedules.choice import choose
 from djpt.rendering.schedules.job import Job
 from djpt.rendering.schedules.passes import report
+from djpt.rendering.schedules.reconstruction import Summed
 from djpt.samplers import SampleIndex, SampleStream
-from djpt.samplers.hashing import sample_tea_32
 from djpt.samplers.independent import Independent
+from djpt.samplers.seeds import sample_tea_32
 
 __all__ = ["Learning"]
 

@@ -16,8 +16,8 @@ from djpt.rendering.schedules.first_radius import radius_of_crowd, seen_from
 from djpt.rendering.schedules.job import Band, Job
 from djpt.rendering.schedules.light_walk import Lane, follow, lanes
 from djpt.rendering.schedules.splatting import SplattedSamples, Splatting
-from djpt.samplers.hashing import sample_tea_32
 from djpt.samplers.independent import IndependentStream
+from djpt.samplers.seeds import sample_tea_32
 
 if TYPE_CHECKING:
     from djpt.scene.scene import Scene

@@ -12,11 +12,10 @@ from djpt.core.records import Ray3f, SurfaceInteraction3f
 from djpt.integrators.paths.passes import LightPath, PassIntegrator
 from djpt.jit.types import Bool, Point2f, TensorXf
 from djpt.rendering.schedules.base import Schedule
-from djpt.rendering.schedules.canvas import picture
 from djpt.rendering.schedules.job import Job
 from djpt.rendering.schedules.light_walk import walk_light
-from djpt.rendering.schedules.pace import Pace
-from djpt.rendering.schedules.passes import ends_here, one_ahead, report
+from djpt.rendering.schedules.passes import Pace, ends_here, one_ahead, report
+from djpt.rendering.schedules.reconstruction import picture
 from djpt.rendering.schedules.wave import Wave
 from djpt.samplers import SampleStream
 

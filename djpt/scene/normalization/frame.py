@@ -7,17 +7,20 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
 from djpt.core.transforms import ScalarTransform4f
 from djpt.geometry.aggregate import unseen
+from djpt.jit.kernels import as_float, as_vector
+from djpt.jit.types import Float, Point3f
 from djpt.shapes.instance import Instance
 
 if TYPE_CHECKING:
     from djpt.scene.scene import Scene
 
-__all__ = ["WorkingFrame", "working_frame"]
+__all__ = ["Units", "WorkingFrame", "working_frame"]
 
 SMALLEST, LARGEST = 0.25, 2.0**17
 """Scenes whose bounding box has a diagonal within these bounds are rendered at their own scale."""
@@ -95,3 +98,18 @@ def smaller_half(boxes: NDArray[np.float64]) -> NDArray[np.float64]:
     """The boxes that are no larger than the median; of two the smaller one."""
     sizes = np.linalg.norm(boxes[:, 1] - boxes[:, 0], axis=1)
     return boxes[sizes <= np.sort(sizes)[(len(sizes) - 1) // 2]]
+
+
+class Units:
+    """The inverse of a `WorkingFrame`, in kernels."""
+
+    def __init__(self, frame: WorkingFrame) -> None:
+        self._unit, self._center = as_float(1 / frame.scale), as_vector(np.array(frame.center))
+
+    def length(self, x: Float) -> Float:
+        """A length."""
+        return x * self._unit
+
+    def point(self, p: Point3f) -> Point3f:
+        """A point."""
+        return dr.fma(p, self._unit, self._center)

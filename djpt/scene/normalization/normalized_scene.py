@@ -52,8 +52,8 @@ def made(scene: Scene) -> tuple[PluginCopies, Scene] | None:
     if frame is None:
         return None
     # Most scenes don't need these.
+    from djpt.scene.normalization.frame import Units
     from djpt.scene.normalization.plugin_copies import PluginCopies
-    from djpt.scene.normalization.units import Units
 
     copies = PluginCopies(frame)
     view = copy.copy(scene)

@@ -14,7 +14,7 @@ from djpt.core.records import PreliminaryIntersection3f, Ray3f
 from djpt.errors import ParameterError, near_miss
 from djpt.jit.types import Bool, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f, backend
 from djpt.shapes.meshes.measures import opposite_edges
-from djpt.shapes.meshes.ply_writer import write_ply
+from djpt.shapes.meshes.ply import write_ply
 
 if TYPE_CHECKING:
     from drjit.llvm.ad import Array2u as Vector2u
