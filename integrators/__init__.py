@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from djpt.integrators.direct_projective import DirectProjectiveIntegrator as DirectProjectiveIntegrator
     from djpt.integrators.distributed import Distributed as Distributed
     from djpt.integrators.guided import GuidedPath as GuidedPath
-    from djpt.integrators.guiding.learning import LearningIntegrator as LearningIntegrator
+    from djpt.integrators.guiding.training import LearningIntegrator as LearningIntegrator
     from djpt.integrators.mmlt import MultiplexedMetropolis as MultiplexedMetropolis
     from djpt.integrators.moment import Moment as Moment
     from djpt.integrators.path import Path as Path

@@ -15,7 +15,7 @@ from djpt.integrators.paths.scene_checks import warn_of_unrendered
 from djpt.integrators.paths.trace_path import trace_path
 from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point3f, TensorXf, UInt32
 from djpt.samplers.base import SampleStream
-from djpt.scene.arguments import require_scene
+from djpt.scene.scene import require_scene
 
 if TYPE_CHECKING:
     from djpt.scene.scene import Scene

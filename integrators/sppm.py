@@ -20,7 +20,7 @@ from djpt.integrators.photons.photon_mapping import PhotonMapping, over_cosine, 
 from djpt.integrators.ptracer import leave_light
 from djpt.integrators.termination import roulette
 from djpt.jit.types import Bool, Color3f, Float, Point2f
-from djpt.materials.adjoint import sample_light
+from djpt.materials.base import sample_light
 from djpt.samplers.base import SampleStream
 
 if TYPE_CHECKING:

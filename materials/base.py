@@ -12,13 +12,21 @@ from typing import Any, ClassVar, Protocol
 import drjit as dr
 
 from djpt.core.frame import Frame3f
-from djpt.core.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f, TransportMode
+from djpt.core.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f, TransportMode, has_flag
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.dispatch.scripted import accept_scripts
 from djpt.errors import RenderError, near_miss
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Vector3f
 
-__all__ = ["BSDF", "BSDFAtPoint", "DeltaBSDF", "SharedWorkBSDF", "derivative_of_choice"]
+__all__ = [
+    "BSDF",
+    "BSDFAtPoint",
+    "DeltaBSDF",
+    "SharedWorkBSDF",
+    "derivative_of_choice",
+    "eval_pdf_light",
+    "sample_light",
+]
 
 
 class BSDF(Plugin):
@@ -60,7 +68,7 @@ class BSDF(Plugin):
     def is_symmetric(self) -> bool:
         """True if light can be followed from lights by `sample`: the BSDF and those nested in it are symmetric.
 
-        Those whose classes don't say so are taken not to be: see `djpt.materials.adjoint`.
+        Those whose classes don't say so are taken not to be: see `djpt.materials.base`.
         """
         nested = (getattr(self, name, None) for name in self.children)
         return self.says("symmetric") and all(plugin.is_symmetric for plugin in nested if isinstance(plugin, BSDF))
@@ -315,3 +323,44 @@ def derivative_of_choice(probability: Float) -> Float:
         return Float(1)
     share = probability * dr.rcp(dr.select(probability > 0, dr.detach(probability), 1))
     return dr.replace_grad(Float(1), share)  # type: ignore[func-returns-value, return-value]
+
+
+FROM_LIGHT, FROM_CAMERA = BSDFContext(TransportMode.Importance), BSDFContext()
+
+
+def eval_pdf_light(
+    bsdf: BSDF, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
+) -> tuple[Color3f, Float, Float]:
+    """The factor of flux that arrives from `si.wi`, per solid angle of `wo`, and the densities of both ways.
+
+    The value is f(wo, wi) abs(cos(wi, ns) cos(wo, ng) / cos(wi, ng)): that of a path from the camera, which comes from
+    `wo` and goes on to `wi`, with the cosines that light sees. ns is the shading normal, ng the geometric one; it is 0
+    where the two disagree on a direction's side. The densities are that of `sample_light` at `wo`, and that with which
+    a path from the camera, coming from `wo`, goes on to `si.wi`.
+
+    E. Veach, "Robust Monte Carlo Methods for Light Transport Simulation", 1997, 5.3.2.
+    """
+    value, back = bsdf.eval_pdf(FROM_CAMERA, si.replaced(wi=wo), si.wi, active)
+    return value * dr.abs(geometric_ratio(si, wo)), bsdf.pdf(FROM_LIGHT, si, wo, active), back
+
+
+def sample_light(
+    bsdf: BSDF, si: SurfaceInteraction3f, sample1: Float, sample2: Point2f, active: Bool | bool = True
+) -> tuple[BSDFSample3f, Color3f]:
+    """Sample where light that arrives from `si.wi` goes, with the value of `eval_pdf_light` over the density."""
+    bs, weight = bsdf.sample(FROM_LIGHT, si, sample1, sample2, active)
+    ratio = geometric_ratio(si, bs.wo)
+    corrected = weight * dr.select(ratio != 0, dr.abs(si.wi.z * ratio * dr.rcp(bs.wo.z)), 0)
+    if bsdf.is_symmetric:
+        return bs, corrected
+    value, _, _ = eval_pdf_light(bsdf, si, bs.wo, active)
+    exact = dr.select(bs.pdf > 0, value * dr.rcp(bs.pdf), 0)
+    return bs, dr.select(has_flag(bs.sampled_type, BSDFFlags.Delta), corrected, exact)
+
+
+def geometric_ratio(si: SurfaceInteraction3f, wo: Vector3f) -> Float:
+    """cos(wo, ng) / cos(wi, ng); 0 where shading and geometric normal disagree on the side of `si.wi` or `wo`."""
+    n = si.sh_frame.to_local(si.n)
+    wi_cos, wo_cos = dr.dot(n, si.wi), dr.dot(n, wo)
+    ok = (wi_cos * si.wi.z > 0) & (wo_cos * wo.z > 0)
+    return dr.select(ok, wo_cos * dr.rcp(dr.select(ok, wi_cos, 1)), 0)

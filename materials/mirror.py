@@ -10,7 +10,7 @@ from djpt.jit.types import Bool, Color3f, Float
 from djpt.materials.base import DeltaBSDF
 from djpt.materials.conductor import Conductor
 from djpt.materials.fresnel import fresnel_conductor, schlick
-from djpt.materials.metals import metal
+from djpt.materials.ior import metal
 
 __all__ = ["Mirror"]
 

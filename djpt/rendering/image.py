@@ -19,9 +19,8 @@ from djpt.rendering.schedules.memory import check_memory
 from djpt.rendering.schedules.reconstruction import picture
 from djpt.rendering.settings import RenderSettings, find_integrator
 from djpt.samplers import Sampler
-from djpt.scene.arguments import find_sensor, require_scene
 from djpt.scene.normalization.normalized_scene import normalized, normalized_scene
-from djpt.scene.scene import Scene
+from djpt.scene.scene import Scene, find_sensor, require_scene
 
 __all__ = [
     "centres",

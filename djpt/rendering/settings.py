@@ -18,8 +18,7 @@ from djpt.jit.types import UInt32
 from djpt.rendering.progress import Progress
 from djpt.rendering.schedules.job import MAX_SAMPLES
 from djpt.samplers.seeds import Seed, gradient_seed
-from djpt.scene.arguments import find_sensor, require_scene
-from djpt.scene.scene import Scene
+from djpt.scene.scene import Scene, find_sensor, require_scene
 from djpt.sensors.base import Sensor
 
 __all__ = ["RenderSettings", "check_count", "check_seed", "find_integrator"]

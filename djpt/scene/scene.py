@@ -8,6 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from djpt.core.numeric import whole
 from djpt.core.records import EmitterFlags, has_flag
 from djpt.core.records.scene_ref import note_latest
 from djpt.description.merging import Merging
@@ -31,8 +32,7 @@ from djpt.shapes import Shape
 from djpt.shapes.numbering import merged_last
 from djpt.textures.uses import check_textures
 
-__all__ = ["Renderer", "Scene"]
-
+__all__ = ["Renderer", "Scene", "find_sensor", "require_scene"]
 
 WITHOUT_EFFECT = ("allow_thread_reordering", "compact_acceleration_structures", "embree_use_robust_intersections")
 """Mitsuba's settings for ray queries of its own, which descriptions may hold."""
@@ -271,3 +271,31 @@ KINDS = (
     *("medium", "phase", "volume"),
 )
 """The kinds of plugins that may stand at the top level of a scene: as its parts, or for others to refer to."""
+
+
+def require_scene(scene: Any) -> Scene:
+    """The scene itself; raises `RenderError` if it isn't one."""
+    if not isinstance(scene, Scene):
+        raise RenderError(f"render() expects a scene from load_dict(), found {type(scene).__name__}")
+    return scene
+
+
+def find_sensor(scene: Scene, sensor: Any) -> Sensor:
+    """The sensor to render: one of the scene, by number, or another one, which is told how large the scene is."""
+    require_scene(scene)
+    sensors = scene.sensors()
+    if not isinstance(sensor, Sensor):
+        number = whole(sensor)
+        if number is None:
+            raise RenderError(f"'sensor' must be an index or a sensor, found {type(sensor).__name__}")
+        if not sensors:
+            raise RenderError("the scene has no sensor: add one, for example {'type': 'perspective'}")
+        if not 0 <= number < len(sensors):
+            raise RenderError(f"there is no sensor {number}: the scene has {len(sensors)}, numbered from 0")
+        sensor = sensors[number]
+    found: Sensor = sensor
+    if found.on_shape and found.shape is None:
+        raise RenderError(f"'{found.id()}' must be nested in a shape of the scene to be rendered")
+    if found not in sensors:
+        found.set_bounds(*scene.bounding_sphere())
+    return found

@@ -21,7 +21,7 @@ class Ellipsoids(Cloud):
 
     Parameters: one of
 
-    * `filename`: a PLY file, see `djpt.shapes.ellipsoids_file`; then also `scale_factor` (default 1) and `to_world`;
+    * `filename`: a PLY file, see `djpt.shapes.ellipsoid_cloud`; then also `scale_factor` (default 1) and `to_world`;
     * `data`: (N, 10) numbers: centre, scales, quaternion x y z w;
     * `centers` (N, 3), `scales` (N, 3) and `quaternions` (N, 4);
 

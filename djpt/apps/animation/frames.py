@@ -15,7 +15,7 @@ from djpt.core.files import as_path, writing
 from djpt.description.parameters import SceneParameters, traverse
 from djpt.errors import FileError, ParameterError
 from djpt.images.image import check_writable, write
-from djpt.rendering.progressive.fingerprint import difference, fingerprint
+from djpt.rendering.progressive.checkpoint import difference, fingerprint
 from djpt.rendering.progressive.rounds import round_seed
 from djpt.rendering.render import render
 from djpt.rendering.settings import RenderSettings, check_count

@@ -89,7 +89,7 @@ def animate(
     from djpt.apps.animation.frames import render_frames
     from djpt.apps.animation.movie import MOVIES, check_movie, write_movie
     from djpt.apps.cli.tone import Tone
-    from djpt.scene.arguments import find_sensor
+    from djpt.scene.scene import find_sensor
 
     if output.suffix.lower() in MOVIES and not output.is_dir():
         raise RenderError(f"-o takes a folder for the frames; the movie: --movie {output}")

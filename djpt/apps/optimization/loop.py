@@ -25,8 +25,7 @@ from djpt.description.parameters import SceneParameters, traverse
 from djpt.errors import ParameterError, RenderError, near_miss
 from djpt.rendering.progress import Progress, watched
 from djpt.rendering.settings import check_count, check_seed
-from djpt.scene.arguments import find_sensor
-from djpt.scene.scene import Scene
+from djpt.scene.scene import Scene, find_sensor
 
 __all__ = ["Optimization", "Progressed", "optimize"]
 

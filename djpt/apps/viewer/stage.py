@@ -15,7 +15,7 @@ from djpt.errors import RenderError, near_miss
 from djpt.integrators.base import Integrator
 from djpt.rendering.image import channel_names
 from djpt.rendering.settings import find_integrator
-from djpt.scene.arguments import find_sensor
+from djpt.scene.scene import find_sensor
 from djpt.sensors.orthographic import Orthographic
 from djpt.sensors.projective import ProjectiveCamera
 

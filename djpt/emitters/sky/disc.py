@@ -13,7 +13,7 @@ from djpt.core.frame import Frame3f
 from djpt.core.warp import square_to_uniform_disk_concentric
 from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
 from djpt.dispatch.tables import entry_at
-from djpt.emitters.sky.angles import squared_chord, squared_sine
+from djpt.emitters.sky.dome import squared_chord, squared_sine
 from djpt.emitters.sky.tables import Grid, table
 from djpt.jit.kernels import as_float, minimum
 from djpt.jit.types import Bool, Color3f, Float, Point2f, TensorXf, UInt32, Vector3f

@@ -10,12 +10,32 @@ import drjit as dr
 
 from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
 from djpt.dispatch.tables import entry_at
-from djpt.emitters.sky.angles import angle, cosine
 from djpt.emitters.sky.tables import Grid, bezier_weights, table
 from djpt.jit.kernels import maximum, minimum
-from djpt.jit.types import Bool, Color3f, Float, UInt32
+from djpt.jit.types import Bool, Color3f, Float, UInt32, Vector3f
 
-__all__ = ["SkyDome", "atmosphere"]
+__all__ = ["SkyDome", "angle", "atmosphere", "cosine", "squared_chord", "squared_sine"]
+
+
+def squared_chord(a: Vector3f, b: Vector3f) -> Float:
+    """The squared distance of two unit vectors, which the functions below take: 2 - 2 cos."""
+    return dr.squared_norm(a - b)
+
+
+def cosine(chord2: Float) -> Float:
+    """The cosine of the angle between them."""
+    return dr.fma(chord2, -0.5, 1)
+
+
+def squared_sine(chord2: Float) -> Float:
+    """The squared sine of the angle between them."""
+    return chord2 * dr.fma(chord2, -0.25, 1)
+
+
+def angle(chord2: Float) -> Float:
+    """The angle between them, in radians."""
+    return 2 * dr.asin(minimum(0.5 * dr.sqrt(chord2), Float(1)))
+
 
 QUANTITIES = ("A", "B", "C", "D", "E", "F", "G", "I", "H", "mean")
 """The order of the table."""

@@ -33,7 +33,7 @@ from djpt.rendering.schedules.lanes import TiledLanes
 from djpt.rendering.schedules.machine import aligned_frame, store
 from djpt.rendering.schedules.reconstruction import Summed
 from djpt.rendering.schedules.sinks import Write, sample_buffers
-from djpt.scene.media_trackers import Trackers
+from djpt.scene.media_placement import Trackers
 
 __all__ = ["MediaMachine"]
 

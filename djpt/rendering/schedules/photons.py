@@ -14,7 +14,7 @@ from djpt.jit.llvm.lanes import small_blocks
 from djpt.jit.types import Bool, Float, UInt32
 from djpt.rendering.schedules.first_radius import radius_of_crowd, seen_from
 from djpt.rendering.schedules.job import Band, Job
-from djpt.rendering.schedules.light_walk import Lane, follow, lanes
+from djpt.rendering.schedules.progressive import Lane, follow, lanes
 from djpt.rendering.schedules.splatting import SplattedSamples, Splatting
 from djpt.samplers.independent import IndependentStream
 from djpt.samplers.seeds import sample_tea_32
