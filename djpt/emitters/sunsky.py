@@ -17,8 +17,7 @@ from djpt.description.registry import register_emitter
 from djpt.emitters.extent import number
 from djpt.emitters.sky.daylight import HIDDEN, Daylight, Instant
 from djpt.emitters.sky.directions import SkyDirections
-from djpt.emitters.sky.disc import irradiances
-from djpt.emitters.sky.dome import SkyDome
+from djpt.emitters.sky.dome import SkyDome, irradiances
 from djpt.emitters.sky.position import FARTHEST, TimeAndPlace
 from djpt.errors import ParameterError
 from djpt.jit.frozen import recording

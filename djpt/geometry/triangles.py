@@ -19,8 +19,7 @@ from djpt.geometry.bvh.steps.traversal import into_group
 from djpt.geometry.canonical import FLAT_KINDS, PIECE
 from djpt.geometry.canonical import surface as canonical_surface
 from djpt.geometry.curve_segments import CurveSegmentSet
-from djpt.geometry.query import DETAIL, LABEL, NONE, Found, Near, RayTree
-from djpt.geometry.recentre import enter
+from djpt.geometry.query import DETAIL, LABEL, NONE, Found, Near, RayTree, enter
 from djpt.geometry.triangle import RayPlane, intersect_triangle
 from djpt.geometry.two_level_bvh import TwoLevelBVH
 from djpt.jit.kernels import float_in

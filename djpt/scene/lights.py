@@ -14,8 +14,7 @@ from djpt.dispatch.ensemble import Ensemble, Lookup
 from djpt.dispatch.family import Family
 from djpt.emitters import Emitter
 from djpt.emitters.light_samplers import make_light_sampler
-from djpt.emitters.light_samplers.base import LightSampler
-from djpt.emitters.light_samplers.sampling import LightSampling
+from djpt.emitters.light_samplers.sampling import LightSampler, LightSampling
 from djpt.emitters.pointer import EmitterPtr
 from djpt.geometry.aggregate import Geometry
 from djpt.jit.types import Bool, UInt32

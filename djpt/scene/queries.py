@@ -79,7 +79,7 @@ class SceneQueries(Plugin):
     kind: ClassVar[str] = "scene"
     units: Any = None
     """Of a scene in a working frame: what lengths and points are in its description
-    (`djpt.scene.normalization.frame`)."""
+    (`djpt.scene.normalization.normalized_scene`)."""
     is_view = False
     """Whether it is a view of a scene, which rendering has made."""
 

@@ -23,11 +23,9 @@ from djpt.jit.kernels import as_float, own_copy, own_floats
 from djpt.jit.types import Float, Point2f, UInt32
 from djpt.shapes.axes import AxisPool
 from djpt.shapes.base import Shape
-from djpt.shapes.meshes.cleaning import clean
-from djpt.shapes.meshes.data import MeshData, unit
+from djpt.shapes.meshes.data import MeshData, clean, unit
 from djpt.shapes.meshes.making import Edits, check_prefix, of_arrays, of_zeros, rows
-from djpt.shapes.meshes.measures import Measures, is_closed, is_remote
-from djpt.shapes.meshes.queries import MeshQueries
+from djpt.shapes.meshes.queries import Measures, MeshQueries, is_closed, is_remote
 from djpt.shapes.mitsuba_api import ShapeType
 
 if TYPE_CHECKING:

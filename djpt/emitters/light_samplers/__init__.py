@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from djpt.emitters.base import Emitter
-from djpt.emitters.light_samplers.base import LightSampler
+from djpt.emitters.light_samplers.sampling import LightSampler
 
 __all__ = ["LIGHT_SAMPLERS", "LightSampler", "make_light_sampler"]
 

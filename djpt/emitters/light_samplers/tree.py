@@ -10,7 +10,7 @@ import numpy as np
 
 from djpt.distributions.discrete import Discrete
 from djpt.emitters.base import Emitter
-from djpt.emitters.light_samplers.base import LightSampler
+from djpt.emitters.light_samplers.sampling import LightSampler
 from djpt.emitters.light_samplers.tree_build import LEAF, Lights, build, children, pack
 from djpt.errors import SceneError
 from djpt.jit.kernels import own_copy, while_loop

@@ -9,7 +9,7 @@ import numpy as np
 
 from djpt.distributions.discrete import Discrete
 from djpt.emitters.base import Emitter
-from djpt.emitters.light_samplers.base import LightSampler
+from djpt.emitters.light_samplers.sampling import LightSampler
 from djpt.errors import SceneError
 from djpt.jit.types import Float, Point3f, UInt32, Vector3f
 

@@ -30,8 +30,7 @@ from djpt.emitters.base import LightBounds
 from djpt.emitters.extent import number
 from djpt.emitters.oriented import OrientedEmitter
 from djpt.emitters.sky.directions import SkyDirections
-from djpt.emitters.sky.disc import WAVELENGTHS, SunDisc
-from djpt.emitters.sky.dome import SkyDome, squared_chord
+from djpt.emitters.sky.dome import WAVELENGTHS, SkyDome, SunDisc, squared_chord
 from djpt.emitters.sky.position import FARTHEST
 from djpt.errors import ParameterError
 from djpt.jit.frozen import recording

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from djpt.core.records import Ray3f
 from djpt.geometry.bvh.steps.traversal import reciprocal
-from djpt.geometry.recentre import enter
+from djpt.geometry.query import enter
 from djpt.geometry.triangle import RayPlane, intersect_triangle
 from djpt.jit.kernels import aligned, as_float, as_vector, maximum, minimum, wide
 from djpt.jit.types import ArrayXu, Bool, Float, Point3f, UInt32, Vector3f

@@ -15,7 +15,7 @@ from djpt.description.frame_change import NotMovable
 from djpt.description.plugin import ParamFlags, Plugin
 from djpt.jit.kernels import as_float
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Vector2f, Vector3f
-from djpt.scene.normalization.frame import WorkingFrame
+from djpt.scene.normalization.normalized_scene import WorkingFrame
 from djpt.textures.base import Texture
 from djpt.volumes.base import Volume
 
