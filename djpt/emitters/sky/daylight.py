@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import drjit as dr
-import numpy as np
-from numpy.typing import NDArray
 
 from djpt.core.frame import Frame3f
 from djpt.core.numeric import as_number, non_negative
@@ -26,7 +24,7 @@ from djpt.core.warp import square_to_uniform_disk_concentric
 from djpt.description.allowed import bounds as within
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
-from djpt.emitters.base import LightBounds
+from djpt.emitters.base import InfiniteEmitter, beam
 from djpt.emitters.extent import number
 from djpt.emitters.oriented import OrientedEmitter
 from djpt.emitters.sky.directions import SkyDirections
@@ -34,8 +32,8 @@ from djpt.emitters.sky.dome import WAVELENGTHS, SkyDome, SunDisc, squared_chord
 from djpt.emitters.sky.position import FARTHEST
 from djpt.errors import ParameterError
 from djpt.jit.frozen import recording
-from djpt.jit.kernels import as_float, as_vector, maximum
-from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, UInt32, Vector3f
+from djpt.jit.kernels import as_float, maximum
+from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, Vector3f
 
 __all__ = ["LUMINANCE", "Daylight", "Instant"]
 
@@ -86,7 +84,7 @@ class Instant:
 HIDDEN = ParamFlags.NonDifferentiable
 
 
-class Daylight(OrientedEmitter):
+class Daylight(InfiniteEmitter, OrientedEmitter):
     """The sky and the sun, which stands where a subclass says (`at`).
 
     In the light's space z points up, x to the south and y to the west, as in Mitsuba (a left-handed system). Radiance
@@ -106,6 +104,7 @@ class Daylight(OrientedEmitter):
         **OrientedEmitter.values,
         **dict.fromkeys(("center", "radius", "sky_scale", "sun_scale"), HIDDEN),
     }
+    m_flags = int(EmitterFlags.Infinite | EmitterFlags.SpatiallyVarying)
     children: ClassVar[tuple[str, ...]] = ("disc",)
     times_and_places: ClassVar[tuple[str, ...]] = ()
     """The parameters that are dates, times and angles: numbers up to `FARTHEST`."""
@@ -123,7 +122,6 @@ class Daylight(OrientedEmitter):
             raise props.error("albedo", "can't vary: it applies to all of the ground")
         aperture = props.float("sun_aperture", 0.5358, low=0.0, high=180.0, low_open=True, high_open=True)
         self.disc = SunDisc(aperture, props.boolean("complex_sun", False))
-        self.set_bounds(np.zeros(3), 1.0)
 
     # ---- parameters --------------------------------------------------------------------
 
@@ -146,17 +144,8 @@ class Daylight(OrientedEmitter):
 
     # ---- on the host -------------------------------------------------------------------
 
-    def flags(self, active: Bool | bool = True) -> int:
-        return int(EmitterFlags.Infinite | EmitterFlags.SpatiallyVarying)
-
-    def set_bounds(self, center: NDArray[np.float64], radius: float) -> None:
-        self.center, self.radius = as_vector(center), as_float(radius)
-
     def power(self) -> float:
         return number(self.irradiance) * WAVELENGTHS * LUMINANCE * math.pi * number(self.radius) ** 2
-
-    def bounds(self) -> LightBounds | None:
-        return None
 
     # ---- in kernels --------------------------------------------------------------------
 
@@ -173,20 +162,7 @@ class Daylight(OrientedEmitter):
     ) -> tuple[DirectionSample3f, Color3f]:
         time = it.time if isinstance(it, Interaction3f) else Float(0)
         local, pdf, weight, radiance = self.at(time).sample(sample)
-        d = self.local_to_world(local)
-        ds = DirectionSample3f.of(
-            # A stand-in for the point at infinity; visibility rays use `d` (see `Scene.shadow_ray`).
-            it.p + d,
-            -d,
-            Point2f(0),
-            d,
-            Float(dr.inf),
-            pdf,
-            weight,
-            Bool(False),
-            UInt32(0),
-        )
-        return ds, radiance * weight
+        return self.towards(it, self.local_to_world(local), Point2f(0), pdf, weight), radiance * weight
 
     def pdf_direction(self, it: Observer, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
         now, local = self.at(ds.time), self.world_to_local(ds.d)
@@ -205,17 +181,8 @@ class Daylight(OrientedEmitter):
         d = self.local_to_world(-local)
         across = Frame3f.from_normal(d).to_world(Vector3f(at.x, at.y, 0))
         area = math.pi * dr.square(self.radius)
-        return EmissionSample(
-            ray=Ray3f(dr.fma(across - d, self.radius, self.center), d),
-            weight=radiance * (weight * area),
-            n=d,
-            uv=Point2f(0),
-            cos=Float(1),
-            pdf_position=dr.rcp(area),
-            pdf_direction=pdf,
-            finite=Bool(False),
-            delta=Bool(False),
-        )
+        ray = Ray3f(dr.fma(across - d, self.radius, self.center), d)
+        return beam(ray, radiance * (weight * area), dr.rcp(area), pdf)
 
     def pdf_emission(self, d: Vector3f, n: Normal3f, uv: Point2f, active: Bool | bool = True) -> tuple[Float, Float]:
         now, local = self.at(Float(0)), self.world_to_local(-d)
