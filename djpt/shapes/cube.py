@@ -14,7 +14,6 @@ from djpt.core.numeric import cross_product
 from djpt.core.records import PositionSample3f
 from djpt.core.transforms import ScalarTransform4f
 from djpt.description.plugin import ParamFlags, TraversalCallback
-from djpt.description.properties import Properties
 from djpt.description.registry import register_shape
 from djpt.errors import ParameterError
 from djpt.jit.kernels import as_float, as_vector, maximum, minimum
@@ -69,10 +68,6 @@ class Cube(Shape):
     canonical = "cube"
     values = dict.fromkeys(("center", "edge_x", "edge_y", "edge_z", "dual_x", "dual_y", "dual_z", "areas"), HIDDEN)
     statics = ("flip_normals", "mirrored")
-
-    def __init__(self, props: Properties) -> None:
-        super().__init__(props)
-        self._axes: tuple[SignedAxis, ...] | None = None
 
     # ---- parameters: the names of Mitsuba's cube, which is a mesh ------------------
 
@@ -166,7 +161,6 @@ class Cube(Shape):
         return float(middle - reach), float(middle + reach)
 
     def faces(self) -> Sequence[Face]:
-        assert self._axes is not None
         result = []
         for (n, n_sign), (u, u_sign), _ in FACES:
             axis, tangent = self._axes[n], self._axes[3 + u]
@@ -183,7 +177,6 @@ class Cube(Shape):
     # ---- in kernels ----------------------------------------------------------------
 
     def intersect(self, ray: ProjectedRay, maxt: Float, numbers: Sequence[int]) -> Hit:
-        assert self._axes is not None
         enter, leave, forward = [], [], []
         for signed, (low, high) in zip(self._axes[:3], self.slabs, strict=True):
             o, _, inv_d = ray.onto(signed.axis)

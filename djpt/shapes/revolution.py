@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.core.transforms import ScalarTransform4f
-from djpt.description.properties import Properties
 from djpt.errors import ParameterError, SceneError
 from djpt.jit.kernels import as_vector
-from djpt.jit.types import Float, Point2f, Point3f, Vector3f
-from djpt.shapes.axes import ProjectedRay, SignedAxis
+from djpt.jit.types import Bool, Float, Point2f, Point3f, Vector3f
+from djpt.shapes.axes import ProjectedRay
 from djpt.shapes.base import Shape
 
 __all__ = ["Revolution", "along"]
@@ -30,10 +29,6 @@ class Revolution(Shape):
     axis_x: Vector3f
     axis_y: Vector3f
     axis_z: Vector3f
-
-    def __init__(self, props: Properties) -> None:
-        super().__init__(props)
-        self._axes: tuple[SignedAxis, ...] | None = None
 
     def stretch(self, local: ScalarTransform4f, node: str) -> None:
         """Append `local` to the `to_world` of the description: it is applied first."""
@@ -70,7 +65,6 @@ class Revolution(Shape):
 
         Returns origin across, direction across, origin along, direction along.
         """
-        assert self._axes is not None
         axis = self._axes[0].axis
         o_z, d_z, _ = ray.onto(axis)
         o_z = o_z - middle
@@ -81,6 +75,25 @@ class Revolution(Shape):
         across = [k for k in range(3) if k != axis.coordinate]
         flat = Point2f(*(ray.ray.o[k] - self.center[k] for k in across))
         return flat, Point2f(*(ray.ray.d[k] for k in across)), o_z, d_z
+
+    def first_root(
+        self, a: Float, b: Float, c: Float, root: Float, shift: Float, o_z: Float, d_z: Float
+    ) -> tuple[Float, Bool]:
+        """The first zero t > 0 of a (t - shift)^2 + 2 b (t - shift) + c that is `_within`, and whether it is.
+
+        `root` is that of the discriminant. Of the two zeros, the one without cancellation gives the other: their
+        product is known.
+        """
+        sum_ = -(b + dr.mulsign(root, b))
+        t1, t2 = sum_ * dr.rcp(a) + shift, c * dr.rcp(sum_) + shift
+        near, far = dr.select(t1 < t2, t1, t2), dr.select(t1 < t2, t2, t1)
+        on_near = (near > 0) & self._within(dr.fma(d_z, near, o_z))
+        t = dr.select(on_near, near, far)
+        return t, self._within(dr.fma(d_z, t, o_z))
+
+    def _within(self, z: Float) -> Bool:
+        """Whether a place along the axis, as `split` measures it, is that of the surface."""
+        raise NotImplementedError
 
     def across(self, p: Point3f) -> tuple[Vector3f, Float]:
         """The vector from the axis to a point, perpendicular to it, and the point's place along it from `center`."""
