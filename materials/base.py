@@ -14,17 +14,20 @@ import drjit as dr
 from djpt.core.frame import Frame3f
 from djpt.core.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f, TransportMode, has_flag
 from djpt.description.plugin import Plugin, TraversalCallback
+from djpt.description.properties import Properties
 from djpt.dispatch.scripted import accept_scripts
-from djpt.errors import RenderError, near_miss
+from djpt.errors import RenderError, SceneError, near_miss
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Vector3f
 
 __all__ = [
     "BSDF",
     "BSDFAtPoint",
     "DeltaBSDF",
+    "NestingBSDF",
     "SharedWorkBSDF",
     "derivative_of_choice",
     "eval_pdf_light",
+    "nested_bsdfs",
     "sample_light",
 ]
 
@@ -311,6 +314,36 @@ class DeltaBSDF(BSDF):
 
     def pdf(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Float:
         return Float(0)
+
+
+def nested_bsdfs(props: Properties, count: int) -> list[Any]:
+    """The BSDFs that a description nests under any keys, in its order; raises `SceneError` unless there are `count`."""
+    found = [plugin for _, plugin in props.children("bsdf")]
+    if len(found) != count:
+        number = ("no", "one", "two")[count]
+        plural = "" if count == 1 else "s"
+        raise SceneError(
+            f"{props.node}: '{props.plugin_name()}' takes {number} nested BSDF{plural}, found {len(found)}"
+        )
+    return found
+
+
+class NestingBSDF(BSDF):
+    """A BSDF that changes one other, `nested_bsdf`: the body has the matter of that one, and its albedo is shown."""
+
+    children: ClassVar[Sequence[str]] = ("nested_bsdf",)
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        (nested,) = nested_bsdfs(props, 1)
+        self.nested_bsdf: BSDF = nested
+        self.absorbs = self.nested_bsdf.absorbs
+
+    def transmittance(self, distance: Float) -> Color3f:
+        return self.nested_bsdf.transmittance(distance)
+
+    def eval_diffuse_reflectance(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
+        return self.nested_bsdf.eval_diffuse_reflectance(si, active)
 
 
 def derivative_of_choice(probability: Float) -> Float:
