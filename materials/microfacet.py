@@ -15,14 +15,7 @@ from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, UInt32, Vect
 from djpt.materials.fresnel import reflect
 from djpt.textures.base import Texture
 
-__all__ = [
-    "DISTRIBUTIONS",
-    "MIN_ALPHA",
-    "MicrofacetDistribution",
-    "RoughCoatAtPoint",
-    "alpha_textures",
-    "distribution_name",
-]
+__all__ = ["MIN_ALPHA", "MicrofacetDistribution", "RoughCoatAtPoint", "alpha_textures", "distribution_name"]
 
 DISTRIBUTIONS: Final = ("beckmann", "ggx")
 

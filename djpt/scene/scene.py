@@ -34,16 +34,7 @@ from djpt.shapes import Shape
 from djpt.shapes.numbering import merged_last
 from djpt.textures.uses import check_textures
 
-__all__ = [
-    "Renderer",
-    "Scene",
-    "black",
-    "collect_emitters",
-    "collect_sensors",
-    "find_sensor",
-    "numbers",
-    "require_scene",
-]
+__all__ = ["Renderer", "Scene", "find_sensor", "require_scene"]
 
 
 def collect_emitters(plugins: Iterable[Plugin]) -> list[Emitter]:

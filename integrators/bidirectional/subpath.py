@@ -30,7 +30,6 @@ __all__ = [
     "CameraHit",
     "CameraLane",
     "CameraStep",
-    "Heuristic",
     "Lane",
     "LightHit",
     "LightStep",

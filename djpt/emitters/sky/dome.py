@@ -17,17 +17,7 @@ from djpt.emitters.sky.tables import Grid, bezier_weights, table
 from djpt.jit.kernels import as_float, maximum, minimum
 from djpt.jit.types import Bool, Color3f, Float, Point2f, TensorXf, UInt32, Vector3f
 
-__all__ = [
-    "WAVELENGTHS",
-    "SkyDome",
-    "SunDisc",
-    "angle",
-    "atmosphere",
-    "cosine",
-    "irradiances",
-    "squared_chord",
-    "squared_sine",
-]
+__all__ = ["WAVELENGTHS", "SkyDome", "SunDisc", "atmosphere", "irradiances", "squared_chord"]
 
 
 def squared_chord(a: Vector3f, b: Vector3f) -> Float:

@@ -42,16 +42,7 @@ from djpt.samplers import SampleStream
 from djpt.samplers.seeds import Seed
 from djpt.scene.scene import Scene
 
-__all__ = [
-    "MultiPixelJob",
-    "RoundSums",
-    "Rounds",
-    "constant_of",
-    "inputs",
-    "multi_pixel_rows",
-    "pixels_per_lane",
-    "round_seed",
-]
+__all__ = ["RoundSums", "Rounds", "constant_of", "inputs", "round_seed"]
 
 Floats = npt.NDArray[np.float32]
 Doubles = npt.NDArray[np.float64]

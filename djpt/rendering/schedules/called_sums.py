@@ -26,17 +26,7 @@ from djpt.rendering.schedules.reconstruction import Read
 from djpt.rfilters.base import ReconstructionFilter, is_wide, tap_centers
 from djpt.rfilters.tent import Tent
 
-__all__ = [
-    "ADD_SAMPLES",
-    "CHANNELS",
-    "CalledSums",
-    "Taps",
-    "prepare_function",
-    "prepare_sums",
-    "reader",
-    "tap_function",
-    "usable",
-]
+__all__ = ["CHANNELS", "CalledSums", "Taps", "prepare_function", "prepare_sums", "reader", "tap_function", "usable"]
 
 ADD_SAMPLES = "add_samples"
 """The function's name."""

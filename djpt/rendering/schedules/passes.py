@@ -23,9 +23,7 @@ from djpt.rendering.schedules.memory import holds_all_sums
 from djpt.rendering.schedules.reconstruction import Rows, Spread, Summed, add_box, add_samples, collected, image_of_rows
 
 __all__ = [
-    "AddToFilm",
     "Pace",
-    "Samples",
     "computed",
     "filtered_rows",
     "image_of_samples",
