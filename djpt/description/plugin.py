@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from djpt.description.frame_change import Frame
     from djpt.description.properties import Properties
 
-__all__ = ["ParamFlags", "Plugin", "TraversalCallback", "is_plain"]
+__all__ = ["HIDDEN", "ParamFlags", "Plugin", "TraversalCallback", "is_plain"]
 
 
 INFERRED = ("bsdf", "emitter", "medium", "phase", "texture", "volume")
@@ -38,6 +38,10 @@ class ParamFlags(enum.IntFlag):
     def differentiable(self) -> bool:
         """True if derivatives with respect to the parameter are computed."""
         return not self & ParamFlags.NonDifferentiable
+
+
+HIDDEN = ParamFlags.NonDifferentiable
+"""The flags of values that kernels read and `traverse` doesn't report: what a plugin computes from its parameters."""
 
 
 class TraversalCallback:

@@ -15,7 +15,7 @@ from djpt.core.numeric import non_negative
 from djpt.core.records import DirectionSample3f, EmissionSample, EmitterFlags, Observer, Ray3f, SurfaceInteraction3f
 from djpt.core.warp import square_to_uniform_disk_concentric
 from djpt.description.allowed import LARGEST, Allowed
-from djpt.description.plugin import ParamFlags, TraversalCallback
+from djpt.description.plugin import HIDDEN, ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_emitter
 from djpt.distributions import Hierarchical2D
@@ -32,7 +32,6 @@ from djpt.textures.texels import as_texels, check_texels, load_texels, numbers_o
 
 __all__ = ["EnvironmentMap"]
 
-HIDDEN = ParamFlags.NonDifferentiable
 INV_PI = 1 / math.pi
 SPHERE = 2 * math.pi**2
 """Area of the (phi, theta) rectangle: solid angle is this times sin(theta) times area of the unit square."""

@@ -11,11 +11,11 @@ import drjit as dr
 import numpy as np
 
 from djpt.core.numeric import as_array
-from djpt.description.plugin import ParamFlags, TraversalCallback
+from djpt.description.plugin import HIDDEN, ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_emitter
 from djpt.emitters.extent import number
-from djpt.emitters.sky.daylight import HIDDEN, Daylight, Instant
+from djpt.emitters.sky.daylight import Daylight, Instant
 from djpt.emitters.sky.directions import SkyDirections
 from djpt.emitters.sky.dome import SkyDome, irradiances
 from djpt.emitters.sky.position import FARTHEST, TimeAndPlace

@@ -10,7 +10,7 @@ import numpy as np
 
 from djpt.core.records import Ray3f
 from djpt.core.records.media import MediumInteraction3f
-from djpt.description.plugin import ParamFlags, Plugin
+from djpt.description.plugin import HIDDEN, ParamFlags, Plugin
 from djpt.description.properties import Properties
 from djpt.description.registry import register_medium
 from djpt.dispatch.tables import entry_at
@@ -29,8 +29,6 @@ POINTS, MOST = 8, 16
 
 AHEAD = 4e-5
 """The share of a cell by which a place is moved on, so that one on a border belongs to the cell that the ray enters."""
-
-HIDDEN = ParamFlags.NonDifferentiable
 
 
 class Heterogeneous(MeasuredMedium):

@@ -12,7 +12,7 @@ import numpy as np
 from djpt.core.numeric import as_array, describe, numbers_in
 from djpt.core.records import PhaseFunctionContext, PhaseFunctionFlags
 from djpt.core.records.media import MediumInteraction3f
-from djpt.description.plugin import ParamFlags, TraversalCallback
+from djpt.description.plugin import HIDDEN, ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_phase
 from djpt.dispatch.tables import entry_at
@@ -23,8 +23,6 @@ from djpt.jit.types import Bool, Color3f, Float, Point2f, TensorXf, UInt32, Vect
 from djpt.phase.base import PhaseFunction, around
 
 __all__ = ["TabulatedPhaseFunction"]
-
-HIDDEN = ParamFlags.NonDifferentiable
 
 
 class TabulatedPhaseFunction(PhaseFunction):

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.core.records import PositionSample3f
-from djpt.description.plugin import ParamFlags
+from djpt.description.plugin import HIDDEN
 from djpt.description.properties import Properties
 from djpt.description.registry import register_shape
 from djpt.jit.kernels import as_float
@@ -20,8 +20,6 @@ from djpt.shapes.base import Hit
 from djpt.shapes.revolution import Revolution, along
 
 __all__ = ["Cone"]
-
-HIDDEN = ParamFlags.NonDifferentiable
 
 
 class Cone(Revolution):

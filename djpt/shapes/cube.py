@@ -13,7 +13,7 @@ from djpt.core.lookup import choose
 from djpt.core.numeric import cross_product
 from djpt.core.records import PositionSample3f
 from djpt.core.transforms import ScalarTransform4f
-from djpt.description.plugin import ParamFlags, TraversalCallback
+from djpt.description.plugin import HIDDEN, TraversalCallback
 from djpt.description.registry import register_shape
 from djpt.errors import ParameterError
 from djpt.jit.kernels import as_float, as_vector, maximum, minimum
@@ -35,7 +35,6 @@ FACES = (
     ((2, -1), (1, -1), (0, 1)),
 )
 CORNERS_UV = ((0.0, 1.0), (1.0, 1.0), (1.0, 0.0), (0.0, 0.0))
-HIDDEN = ParamFlags.NonDifferentiable
 
 
 def face_axis(axis_sign: tuple[int, int]) -> NDArray[np.float64]:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.core.records import PositionSample3f
-from djpt.description.plugin import ParamFlags
+from djpt.description.plugin import HIDDEN
 from djpt.description.properties import Properties
 from djpt.description.registry import register_shape
 from djpt.errors import SceneError
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from djpt.shapes.silhouettes.base import Silhouette
 
 __all__ = ["Cylinder"]
-
-HIDDEN = ParamFlags.NonDifferentiable
 
 
 class Cylinder(Revolution):

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from djpt.core.records import PositionSample3f
 from djpt.core.warp import square_to_uniform_disk_concentric
-from djpt.description.plugin import ParamFlags
+from djpt.description.plugin import HIDDEN
 from djpt.description.properties import Properties
 from djpt.description.registry import register_shape
 from djpt.jit.kernels import as_float
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from djpt.shapes.silhouettes.base import Silhouette
 
 __all__ = ["Disk"]
-
-HIDDEN = ParamFlags.NonDifferentiable
 
 
 class Disk(FlatShape):

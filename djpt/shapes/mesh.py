@@ -16,7 +16,7 @@ from djpt.core.files import read_bytes
 from djpt.core.records import PositionSample3f
 from djpt.core.warp import square_to_uniform_triangle
 from djpt.description.files import read_once, resolve
-from djpt.description.plugin import ParamFlags, TraversalCallback
+from djpt.description.plugin import HIDDEN, ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.errors import FileError, ParameterError, SceneError
 from djpt.jit.kernels import as_float, own_copy, own_floats
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Mesh", "MeshFile"]
 
-HIDDEN = ParamFlags.NonDifferentiable
 PARAMETERS = ("faces_parameter", "vertex_positions", "vertex_normals", "vertex_texcoords")
 """The attributes that hold the parameters of all meshes; made when they are asked for, which most never are."""
 STORED = {"faces": "faces_parameter"}

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from djpt.core.frame import Frame3f
 from djpt.core.records import DirectionSample3f
 from djpt.core.warp import square_to_uniform_cone
-from djpt.description.plugin import ParamFlags
+from djpt.description.plugin import HIDDEN
 from djpt.description.registry import register_shape
 from djpt.jit.kernels import as_float
 from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
@@ -21,8 +21,6 @@ from djpt.shapes.base import Face, Hit
 from djpt.shapes.flat import FlatShape
 
 __all__ = ["Plane"]
-
-HIDDEN = ParamFlags.NonDifferentiable
 
 
 class Plane(FlatShape):

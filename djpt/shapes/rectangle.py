@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.core.records import PositionSample3f
-from djpt.description.plugin import ParamFlags
+from djpt.description.plugin import HIDDEN
 from djpt.description.registry import register_shape
 from djpt.jit.kernels import as_float
 from djpt.jit.types import Float, Point2f, Point3f, UInt32, Vector3f
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from djpt.shapes.silhouettes.base import Silhouette
 
 __all__ = ["Rectangle"]
-
-HIDDEN = ParamFlags.NonDifferentiable
 
 
 class Rectangle(FlatShape):

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from djpt.core.frame import Frame3f, coordinate_system
 from djpt.core.numeric import describe
 from djpt.description.files import resolve
-from djpt.description.plugin import ParamFlags, TraversalCallback
+from djpt.description.plugin import HIDDEN, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_shape
 from djpt.errors import DjptError, FileError, ParameterError
@@ -25,7 +25,6 @@ from djpt.volumes.volume_grid import VolumeGrid
 
 __all__ = ["SDFGrid", "read_volume"]
 
-HIDDEN = ParamFlags.NonDifferentiable
 SERIAL = itertools.count()
 MOST_CELLS = 2**26
 """Most cells of a grid; each takes 32 bytes."""

@@ -22,7 +22,7 @@ from djpt.core.frame import Frame3f
 from djpt.core.records import RAY_EPSILON, DirectionSample3f, PositionSample3f, Ray3f
 from djpt.core.transforms import ScalarTransform4f
 from djpt.core.warp import square_to_uniform_sphere
-from djpt.description.plugin import ParamFlags
+from djpt.description.plugin import HIDDEN
 from djpt.description.properties import Properties
 from djpt.description.registry import register_shape
 from djpt.errors import ParameterError, SceneError
@@ -67,9 +67,6 @@ def intersect_large(ray: Ray3f, center: Point3f, radius: Float, power: Float) ->
     near, far = dr.minimum(first, second), dr.maximum(first, second)
     t = start + dr.select(near > 0, near, far)
     return (discriminant >= 0) & (t > start) & (t < math.inf), t
-
-
-HIDDEN = ParamFlags.NonDifferentiable
 
 
 class Sphere(Shape):

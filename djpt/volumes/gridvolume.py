@@ -17,7 +17,7 @@ from djpt.core.limits import LARGEST
 from djpt.core.transforms import ScalarTransform4f, as_transform
 from djpt.description.allowed import Allowed
 from djpt.description.files import resolve
-from djpt.description.plugin import ParamFlags, TraversalCallback
+from djpt.description.plugin import HIDDEN, ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_volume
 from djpt.dispatch.tables import entry_at
@@ -28,15 +28,12 @@ from djpt.jit.types import Bool, Color3f, Float, Point3f, TensorXf, UInt32, Vect
 from djpt.textures.texels import mean_texel, numbers_of
 from djpt.textures.wrapping import WRAP_MODES, wrapped
 from djpt.volumes.base import Volume
-from djpt.volumes.openvdb import read_openvdb
-from djpt.volumes.volume_grid import VolumeGrid, as_grid
+from djpt.volumes.volume_grid import VolumeGrid, as_grid, read_openvdb
 
 if TYPE_CHECKING:
     from djpt.description.frame_change import Frame
 
 __all__ = ["GridVolume", "as_voxels", "check_voxels", "load_voxels", "maxima_of_cells"]
-
-HIDDEN = ParamFlags.NonDifferentiable
 
 
 class GridVolume(Volume):
@@ -44,7 +41,7 @@ class GridVolume(Volume):
 
     Parameters: one of
 
-    * `filename`: a file in Mitsuba's format (``.vol``), or one of OpenVDB (``.vdb``, see `djpt.volumes.openvdb`), of
+    * `filename`: a file in Mitsuba's format (``.vol``), or one of OpenVDB (``.vdb``), of
       which `grid_name` chooses a grid (default: 'density', or the only one);
     * `grid`: a `djpt.VolumeGrid`;
     * `data`: a tensor or an array, (Z, Y, X) or (Z, Y, X, C) with C = 1, 3 or 6 channels;

@@ -22,7 +22,7 @@ from djpt.core.records import (
 )
 from djpt.core.warp import square_to_uniform_disk_concentric
 from djpt.description.allowed import bounds as within
-from djpt.description.plugin import ParamFlags, TraversalCallback
+from djpt.description.plugin import HIDDEN, ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.emitters.base import InfiniteEmitter, beam
 from djpt.emitters.extent import number
@@ -79,9 +79,6 @@ class Instant:
         on_disc = ~to_sky | self.disc.covers(local)
         pdf = self.pdf(local, on_disc)
         return local, pdf, dr.select(pdf > 0, dr.rcp(pdf), 0), self.radiance(local, on_disc)
-
-
-HIDDEN = ParamFlags.NonDifferentiable
 
 
 class Daylight(InfiniteEmitter, OrientedEmitter):

@@ -11,7 +11,7 @@ import drjit as dr
 
 from djpt.core.frame import Frame3f
 from djpt.core.warp import square_to_uniform_disk_concentric
-from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
+from djpt.description.plugin import HIDDEN, ParamFlags, Plugin, TraversalCallback
 from djpt.dispatch.tables import entry_at
 from djpt.emitters.sky.tables import Grid, bezier_weights, table
 from djpt.jit.kernels import as_float, maximum, minimum
@@ -135,7 +135,6 @@ def curve_position(elevation: Float) -> Float:
     return minimum(dr.cbrt(share), Float(1 - 2**-24))
 
 
-HIDDEN = ParamFlags.NonDifferentiable
 APERTURE = 0.5358
 """The angle in degrees that the sun has in the tables."""
 TRUE_HEIGHT = 1 - math.cos(math.radians(APERTURE) / 2)
