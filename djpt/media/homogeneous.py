@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import drjit as dr
 
@@ -18,6 +18,9 @@ from djpt.jit.types import Bool, Color3f, Float, UInt32
 from djpt.media.base import MeasuredMedium
 from djpt.media.flight import FAR, Flight, of_channel
 from djpt.samplers.base import SampleStream
+
+if TYPE_CHECKING:
+    from djpt.description.frame_change import Frame
 
 __all__ = ["Homogeneous"]
 
@@ -51,6 +54,9 @@ class Homogeneous(MeasuredMedium):
             raise SceneError(f"{props.node}: 'sigma_t' must be the same everywhere; a 'heterogeneous' medium varies")
         if self.emission is not None and not self.emission.is_constant:
             raise SceneError(f"{props.node}: 'emission' must be the same everywhere; a 'heterogeneous' medium varies")
+
+    def move_into(self, frame: Frame) -> None:
+        super().move_into(frame)
 
     def of_extinction(self) -> Sequence[Plugin]:
         return []
