@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.core.transforms import ScalarTransform4f
-from djpt.errors import ParameterError, SceneError
 from djpt.jit.kernels import as_vector
 from djpt.jit.types import Bool, Float, Point2f, Point3f, Vector3f
 from djpt.shapes.axes import ProjectedRay
@@ -30,28 +29,13 @@ class Revolution(Shape):
     axis_y: Vector3f
     axis_z: Vector3f
 
-    def stretch(self, local: ScalarTransform4f, node: str) -> None:
-        """Append `local` to the `to_world` of the description: it is applied first."""
-        self.to_world = self.to_world @ local
-        problem = self._problem(self.to_world.matrix)
-        if problem:
-            raise SceneError(f"{node}: {problem}")
-
-    def _problem(self, matrix: NDArray[np.float64]) -> str | None:
+    def misfit(self, matrix: NDArray[np.float64]) -> str | None:
         lengths = np.linalg.norm(matrix[:3, :3], axis=0)
         unit = matrix[:3, :3] / lengths
         if np.abs(unit.T @ unit - np.eye(3)).max() > 1e-4 or abs(lengths[0] / lengths[1] - 1) > 1e-4:
             name = type(self).__name__.lower()
             return f"the 'to_world' of a {name} may only scale uniformly, rotate, mirror and translate"
         return None
-
-    def check_parameter(self, name: str, value: object) -> object:
-        value = super().check_parameter(name, value)
-        if name == "to_world" and isinstance(value, ScalarTransform4f):
-            problem = self._problem(value.matrix)
-            if problem:
-                raise ParameterError(f"{self.id()}.to_world: {problem}")
-        return value
 
     def set_frame(self, center: NDArray[np.float64], directions: NDArray[np.float64]) -> None:
         """Set the values by which kernels find local coordinates; `directions` are the rows x, y, z."""
