@@ -12,8 +12,7 @@ from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
 from djpt.errors import RenderError
 from djpt.films.splats import Splats
-from djpt.integrators.bidirectional.light_paths import departure
-from djpt.integrators.bidirectional.subpath import scaled
+from djpt.integrators.bidirectional.subpath import departure, scaled
 from djpt.integrators.path import Path
 from djpt.integrators.paths.passes import LightPath, PassIntegrator, Walks
 from djpt.integrators.termination import Terminating, first_roulette, roulette

@@ -17,8 +17,7 @@ from djpt.geometry.aggregate import Geometry
 from djpt.jit.kernels import while_loop, wide
 from djpt.jit.types import Bool, Color3f, Float, Point3f, UInt32, Vector3f
 from djpt.materials.pointer import BSDFPtr
-from djpt.scene.bsdfs import BSDFs
-from djpt.scene.lights import Lights
+from djpt.scene.lights import BSDFs, Lights
 from djpt.scene.media_placement import Media
 from djpt.textures.uses import reads_uv
 

@@ -24,8 +24,7 @@ from djpt.jit.frozen import recording, require_editable
 from djpt.jit.kernels import may_wait
 from djpt.jit.types import Float, Point3f, TensorXf, UInt32
 from djpt.materials import BSDF, Diffuse
-from djpt.scene.bsdfs import BSDFs
-from djpt.scene.lights import Lights
+from djpt.scene.lights import BSDFs, Lights
 from djpt.scene.media_placement import Media, absorbing_sides, all_sides
 from djpt.scene.mitsuba_api import MitsubaScene
 from djpt.scene.silhouettes import Silhouettes
