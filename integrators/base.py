@@ -1,4 +1,4 @@
-"""The contracts of integrators."""
+"""The contracts of integrators, one path per lane, and warnings of light and media that an integrator can't show."""
 
 from __future__ import annotations
 

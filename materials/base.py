@@ -1,4 +1,4 @@
-"""The contract of BSDFs."""
+"""The contract of BSDFs, with bases for some kinds, and the adjoint: light that travels from lights."""
 
 from __future__ import annotations
 

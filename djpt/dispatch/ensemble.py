@@ -410,6 +410,9 @@ def is_tracking() -> bool:
 def followed(ensemble: Ensemble[Any], values: Lookup) -> Lookup:
     """`values`, or if some values of the ensemble have gradients, and these are tracked, lookups attached to them.
 
+    Rendering suspends the tracking of gradients and attaches what it differentiates itself. A script that evaluates a
+    BSDF where gradients are tracked expects the result to depend on the parameters of the scene.
+
     Within a loop that Dr.Jit records tables can't be made: there it is `values`, unless there are tables from before.
     Outside of loops they are made anew, because a traversal cuts the way from them to the values.
     """

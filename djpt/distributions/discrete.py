@@ -44,7 +44,7 @@ class Discrete:
 
 
 class Weights:
-    """Numbers i with the probability w_i / sum w, chosen by inverting running sums."""
+    """Numbers i with the probability w_i / sum w, chosen by inverting running sums; how many is no part of kernels."""
 
     def __init__(self, weights: Float) -> None:
         """Compute the sums; `weights` aren't negative. If all are 0, every choice has the probability 0."""

@@ -24,7 +24,11 @@ ENTRY = 16
 
 
 def add_grid_functions(module: Module) -> None:
-    """Add the functions to a module."""
+    """Add the functions to a module.
+
+    Numbers have double precision and tables single precision, unless noted; grids lie in memory row by row, and an
+    entry of a table is four floats.
+    """
     add_weigh(module)
     add_average(module)
     add_gather_corners(module)

@@ -1,4 +1,4 @@
-"""The contract of emitters."""
+"""The contract of emitters, and bases for those that are points or infinitely far away."""
 
 from __future__ import annotations
 

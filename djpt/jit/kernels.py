@@ -272,7 +272,11 @@ def float_in(word: UInt32) -> Float:
 
 
 class Arithmetic(Protocol):
-    """Functions of numbers: of Dr.Jit's, or of those of `djpt.jit.llvm.arithmetic`."""
+    """Functions of numbers: of Dr.Jit's, or of those of `djpt.jit.llvm.arithmetic`.
+
+    A formula that takes its functions from a namespace can be written once: Dr.Jit traces it with `KERNELS`, and
+    `djpt.jit.llvm.arithmetic` has functions of the same names that write IR.
+    """
 
     fma: Callable[..., Any]
     rcp: Callable[..., Any]

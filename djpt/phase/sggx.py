@@ -1,4 +1,12 @@
-"""Fibres and sheets: microflakes with an SGGX distribution."""
+"""Fibres and sheets: microflakes with an SGGX distribution.
+
+The normals of the flakes are those of an ellipsoid, given by a symmetric matrix S, which is positive definite: its
+eigenvectors are the axes of the ellipsoid, and its eigenvalues the squares of the areas that flakes of unit area show
+along them.
+
+E. Heitz, J. Dupuy, C. Crassin and C. Dachsbacher, "The SGGX Microflake Distribution", ACM Transactions on Graphics
+34(4), 2015.
+"""
 
 from __future__ import annotations
 

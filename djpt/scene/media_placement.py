@@ -1,4 +1,4 @@
-"""Which media a scene has, which of them a ray runs through, and how far light gets in them."""
+"""Which media a scene has, which of them a ray runs through, how far light gets in them, and rays through them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The parts of a scene, and the queries of them that integrators make."""
+"""The parts of a scene, the queries of them that integrators make, and the test for points inside of shapes."""
 
 from __future__ import annotations
 

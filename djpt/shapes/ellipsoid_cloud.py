@@ -1,4 +1,4 @@
-"""The base of shapes that are clouds of ellipsoids: data, attributes, extents."""
+"""The base of shapes that are clouds of ellipsoids: data, attributes, extents, and the reader of their files."""
 
 from __future__ import annotations
 
@@ -32,6 +32,9 @@ LEAST_SCALE, LEAST_OPACITY = 1e-6, 1e-8
 
 def read_ellipsoids(data: bytes, where: str, factor: float, to_world: Table) -> tuple[Table, dict[str, Table]]:
     """Read ellipsoids (N, 10) and their attributes from the first element of a PLY file.
+
+    Those of 3D Gaussian splatting are among them: B. Kerbl, G. Kopanas, T. Leimkuehler and G. Drettakis, "3D Gaussian
+    Splatting for Real-Time Radiance Field Rendering", SIGGRAPH 2023.
 
     Its properties begin with x y z nx ny nz and end with scale_0 .. scale_2, logarithms of the scales, and rot_0 ..
     rot_3, a quaternion w x y z. Those between are attributes: names that end in _0, _1, .. become one. In files of 3D

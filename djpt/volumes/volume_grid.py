@@ -1,4 +1,4 @@
-"""Grids of numbers in space, on the host, and Mitsuba's files of them."""
+"""Grids of numbers in space, on the host, and their files: those of Mitsuba, and of OpenVDB."""
 
 from __future__ import annotations
 
@@ -186,6 +186,9 @@ FLOATS = "Tree_float_5_4_3"
 
 def read_openvdb(path: str | os.PathLike[str], name: str = "") -> VolumeGrid:
     """A grid of numbers in a file of OpenVDB: its active voxels, and the background between them.
+
+    It is read by tinyvdb, which is installed by ``pip install tinyvdb``. Only what is stored voxel by voxel arrives:
+    tinyvdb 0.9 skips constant tiles, so a file whose own count of voxels says that there are some is refused.
 
     Args:
         path: the file (``.vdb``).

@@ -28,7 +28,13 @@ HALVINGS = 16
 
 
 class Cells:
-    """Cells of equal size that fill a box, in six copies."""
+    """Cells of equal size that fill a box, in six copies.
+
+    The box about the scene is halved again and again, always across its longest edge. The last halves are the cells;
+    each exists six times, for surfaces that face along +x, -x, +y, -y, +z and -z. Neighbouring cells in which few paths
+    have been are put together to the leaves of a tree. A kernel doesn't descend the tree: a table has the leaf of each
+    cell.
+    """
 
     def __init__(self, low: Any, high: Any) -> None:
         """`low` and `high`: the corners of the box, three numbers each; a point if there is none."""

@@ -48,6 +48,9 @@ def step(u: Float, a: Float, largest: Float) -> Float:
 class Mutated:
     """A `SampleStream` of a proposal: it mutates the numbers of a chain while they are drawn.
 
+    C. Kelemen, L. Szirmay-Kalos, G. Antal and F. Csonka, "A Simple and Robust Mutation Strategy for the Metropolis
+    Light Transport Algorithm", 2002.
+
     Local memory has room for both. The proposal's numbers are written to the place that isn't the chain's, so that to
     accept them is to exchange the roles of the two.
     """

@@ -238,6 +238,15 @@ def inverse_coverage(
 ) -> Float:
     """An estimate of 1 / c, c being the fraction of the disk about a point where photons count; 1 where not `active`.
 
+    A sum over the photons of a disk is divided by its area. Where a surface ends within the disk, at an edge or at the
+    foot of a wall, photons can only lie on the fraction c of it, and the sum is too small by as much: all edges are
+    dark by a radius. So points of the disk are looked at until one is on the surface. Their number K is 1 nearly
+    everywhere, and has the mean 1 / c everywhere: sums times K have no such error, since K doesn't depend on the
+    photons.
+
+    T. E. Booth, "Unbiased Monte Carlo Estimation of the Reciprocal of an Integral", 2007; H. Qin, X. Sun, Q. Hou,
+    B. Guo and K. Zhou, "Unbiased Photon Gathering for Light Transport Simulation", 2015, use it for other paths.
+
     A point of the disk counts if it is seen from the centre along the surface, and the surface there lies near the
     tangent plane and faces the same way. If none is found, because the surface there is smaller than the disk, the
     estimate is 1.

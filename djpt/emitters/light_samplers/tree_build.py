@@ -1,5 +1,20 @@
 """Building the tree of lights: on the host, level by level, all nodes of a level at once.
 
+In memory an inner node is a record of 16 words, 64 bytes, with both of its children, 8 words each:
+
+======  ========================================================================
+word    child
+======  ========================================================================
+0 .. 2  centre of its bounding sphere
+3       radius
+4       intensity: power over solid angle
+5       axis, 3 x 10 bits, not normalised
+6       cos theta_o in the lower, cos theta_e in the upper half, as shares of 65535
+7       link: the number of an inner node, or LEAF and an emitter
+======  ========================================================================
+
+Cones are rounded outwards.
+
 A node is split where the surface area orientation heuristic is least: the sum over both sides of
 intensity times solid angle times extent (A. Conty Estevez and C. Kulla, "Importance Sampling of Many
 Lights with Adaptive Tree Splitting", 2018, section 4.4), over `BINS` bins per axis. The extent is the

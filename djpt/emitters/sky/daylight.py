@@ -1,4 +1,4 @@
-"""The base of lights of the sky."""
+"""The base of lights of the sky, and what a sky is at an instant: radiance, and the sampling of directions."""
 
 from __future__ import annotations
 

@@ -259,7 +259,12 @@ def pixels_per_lane(job: Job, schedule: Schedule) -> int:
 
 @dataclass
 class MultiPixelJob(Job):
-    """A job whose samples are numbered over the pixels of a lane: `height / pixels_per_lane` rows apart."""
+    """A job whose samples are numbered over the pixels of a lane: `height / pixels_per_lane` rows apart.
+
+    The lanes of a packet end together, when the longest of their sums of paths has ended. With 64 samples per lane that
+    is 4 % of the time, with 256 it is 1 %. The samples are added up in memory, pixel by pixel in the order of plain
+    images, so the sums have the same bits.
+    """
 
     pixels_per_lane: int = field(kw_only=True)
     """The pixels of a lane."""

@@ -1,4 +1,11 @@
-"""Sums of a film in memory, to which kernels add samples by calls of a compiled function."""
+"""Sums of a film in memory, to which kernels add samples by calls of a compiled function.
+
+Loop state of a hundred sums doesn't fit into registers: LLVM writes all of them to the stack and reads them
+again at every turn, and all lanes of a packet add zeros when one has finished a sample. The function adds
+only the samples that there are, each with a few vector instructions.
+
+The sums of a lane stand side by side, in the order [row tap][column tap][channel], the weight being the last channel.
+"""
 
 from __future__ import annotations
 

@@ -48,7 +48,11 @@ GROWTH = 8
 
 
 class Pace:
-    """How fast a job's passes are."""
+    """How fast a job's passes are.
+
+    A pass takes about a second while somebody waits for its end: to see progress, or to stop. The clock decides how the
+    samples are split into passes, which changes no bit of the image.
+    """
 
     def __init__(self, job: Job, largest: int) -> None:
         """`largest`: the most samples per pixel of a pass, which all have that don't go by the clock."""

@@ -126,6 +126,10 @@ def seen_from(job: Job) -> Seen:
 def radius_of_crowd(seen: Seen, fill: Callable[[PhotonMap], None], paths: int, wanted: float) -> float:
     """The radius within which the points see `wanted` photons on average, or the largest one if they don't see as many.
 
+    A ball about a point that is seen holds a certain number of photons on average: more of them take time for little,
+    and a wider ball blurs more. Where photons are few, the width of what is seen sets the limit. So neither the size of
+    the scene nor anything that stands outside of the picture counts, and nothing depends on the seed.
+
     Args:
         seen: the points, at least one.
         fill: fills a map with the photons of some light paths.

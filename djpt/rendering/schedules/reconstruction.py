@@ -380,7 +380,11 @@ class Strip:
 
 
 def image_of_rows(job: Job, finished: Iterable[Summed]) -> TensorXf:
-    """The image (height, width, channels) from sums, top to bottom; where they end, the rest is black."""
+    """The image (height, width, channels) from sums, top to bottom; where they end, the rest is black.
+
+    A large image is computed in bands of rows. Each is developed as soon as no further sample reaches it, so that sums
+    are only held for the rows that are being computed.
+    """
     width, height = job.film.crop_size()
     count, end = job.channel_count(), 0
     memory = dr.empty(Float, width * height * count)
@@ -484,6 +488,10 @@ def add_to_targets(
     job: Job, band: Band, samples: list[Float], begin: int, end: int, sums: list[Float] | None
 ) -> list[Float]:
     """Add the samples begin <= k < end of a band to the sums of the pixels in reach, the weight's sum being the last.
+
+    For wide filters: loops over the taps, which kernels for narrow ones unroll. A lane is a target pixel. It visits all
+    samples in reach, so there is one sum per channel, whatever the filter's width. The time grows with the filter's
+    area: a pixel of a film with n taps along an axis reads n^2 samples for each one of its own.
 
     The samples have the layout [k - begin][pixel] per channel, the sums that of `reached_rows`.
     """

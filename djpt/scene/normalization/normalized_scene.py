@@ -1,4 +1,4 @@
-"""The copy of a scene in its working frame, which is rendered in its place."""
+"""The working frame of a scene, about the size of 4 about the origin, and the copy that is rendered in its place."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The data of a mesh, on the host."""
+"""The data of a mesh, on the host, and the check whether it can be rendered: errors for what is broken, or warnings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The reader of meshes in PLY files, with attributes of vertices and faces."""
+"""The reader and the writer of meshes in PLY files, with attributes of vertices and faces."""
 
 from __future__ import annotations
 

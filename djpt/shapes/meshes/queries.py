@@ -1,4 +1,4 @@
-"""The vertices and triangles of a mesh by number, for scripts: as counts, as whole arrays, as lookups."""
+"""What is asked of a mesh: areas and extent, whether it is closed, its vertices and triangles by number."""
 
 from __future__ import annotations
 
