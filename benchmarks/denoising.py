@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from djpt.rendering.denoising.filtering import METHODS, Guides, denoise_pixels
-from djpt.rendering.denoising.guides import render_guides
+from djpt.rendering.denoising.rendered import render_guides
 from djpt.rendering.settings import RenderSettings
 from djpt.scenes.gallery import panels
 

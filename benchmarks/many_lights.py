@@ -8,7 +8,7 @@ variance falls with the samples. Rounds are interleaved; medians.
 
 Camera rays pass through the lamps (`hide_emitters`): the noise at the edges of visible lamps is the same for
 all choices and larger than all other noise, so with it the tree's ratio would be below 1. The constants of
-`djpt.emitters.light_samplers.tree_nodes` were chosen for the floors of these scenes.
+`djpt.emitters.light_samplers.tree_build` were chosen for the floors of these scenes.
 """
 
 from __future__ import annotations

@@ -140,8 +140,8 @@ if TYPE_CHECKING:
     from djpt.sensors.pointer import SensorPtr as SensorPtr
     from djpt.shapes import Mesh as Mesh
     from djpt.shapes.base import Shape as Shape
+    from djpt.shapes.mitsuba_api import ShapeType as ShapeType
     from djpt.shapes.pointer import ShapePtr as ShapePtr
-    from djpt.shapes.shape_type import ShapeType as ShapeType
 
 
 _SUBMODULES = _MODULES_FOR_SCRIPTS

@@ -16,13 +16,13 @@ if TYPE_CHECKING:
     from djpt.integrators.base import PathState as PathState
     from djpt.integrators.base import Vertex as Vertex
     from djpt.integrators.bdpt import BidirectionalPath as BidirectionalPath
-    from djpt.integrators.bidirectional.splatting import SplattingIntegrator as SplattingIntegrator
+    from djpt.integrators.bidirectional.strategies import SplattingIntegrator as SplattingIntegrator
     from djpt.integrators.depth import Depth as Depth
     from djpt.integrators.direct import Direct as Direct
     from djpt.integrators.direct_projective import DirectProjectiveIntegrator as DirectProjectiveIntegrator
     from djpt.integrators.distributed import Distributed as Distributed
     from djpt.integrators.guided import GuidedPath as GuidedPath
-    from djpt.integrators.guiding.learning import LearningIntegrator as LearningIntegrator
+    from djpt.integrators.guiding.training import LearningIntegrator as LearningIntegrator
     from djpt.integrators.mmlt import MultiplexedMetropolis as MultiplexedMetropolis
     from djpt.integrators.moment import Moment as Moment
     from djpt.integrators.path import Path as Path

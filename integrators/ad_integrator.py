@@ -18,8 +18,7 @@ from djpt.rendering.gradients.own_rendering import attached_view
 from djpt.rendering.gradients.unproven import require_proven
 from djpt.rendering.schedules.job import require_countable
 from djpt.samplers.base import Sampler
-from djpt.scene.arguments import find_sensor
-from djpt.scene.scene import Scene
+from djpt.scene.scene import Scene, find_sensor
 from djpt.sensors.base import Sensor
 from djpt.shapes.silhouettes.moving import exchanged
 from djpt.shapes.silhouettes.normals import with_normals

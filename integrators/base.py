@@ -1,27 +1,46 @@
-"""The contracts of integrators."""
+"""The contracts of integrators, one path per lane, and warnings of light and media that an integrator can't show."""
 
 from __future__ import annotations
 
+import sys
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import drjit as dr
 
-from djpt.core.records import PreliminaryIntersection3f, Ray3f, Reference, SurfaceInteraction3f
+from djpt.core.records import (
+    BSDFFlags,
+    EmitterFlags,
+    PreliminaryIntersection3f,
+    Ray3f,
+    Reference,
+    SurfaceInteraction3f,
+    has_flag,
+)
 from djpt.description.plugin import Plugin
 from djpt.description.properties import Properties
-from djpt.integrators.paths.scene_checks import warn_of_unrendered
-from djpt.integrators.paths.trace_path import trace_path
-from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point3f, TensorXf, UInt32
+from djpt.errors import RenderError
+from djpt.jit.kernels import loop_traced_once, wide
+from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point3f, TensorXf, UInt32, Vector3f
 from djpt.samplers.base import SampleStream
-from djpt.scene.arguments import require_scene
+from djpt.scene.scene import require_scene
 
 if TYPE_CHECKING:
     from djpt.scene.scene import Scene
     from djpt.sensors.base import Sensor
 
-__all__ = ["Integrator", "PathIntegrator", "PathState", "SamplingIntegrator", "Vertex", "mis_weight"]
+__all__ = [
+    "Integrator",
+    "PathIntegrator",
+    "PathState",
+    "SamplingIntegrator",
+    "Vertex",
+    "mis_weight",
+    "refuse_scattering_media",
+    "trace_path",
+]
 
 
 class Integrator(Plugin):
@@ -370,3 +389,135 @@ def mis_weight(pdf_a: Float, pdf_b: Float) -> Float:
     a, b = dr.square(pdf_a), dr.square(pdf_b)
     weight = a * dr.rcp(a + b)
     return dr.select(dr.isfinite(weight), weight, 0)
+
+
+def scattering_media(scene: Scene) -> list[str]:
+    """The names of a scene's media that scatter light."""
+    return [medium.id() for medium in scene.every_medium.plugins if medium.phase is not None]
+
+
+def refuse_scattering_media(name: str, scene: Scene) -> None:
+    """Raise `RenderError` if a scene has media that the integrator of this name can't follow light through."""
+    found = scattering_media(scene)
+    if found:
+        raise RenderError(
+            f"'{name}' doesn't follow light through scattering media, found {', '.join(found)}; "
+            "possible: the integrator 'volpath'"
+        )
+
+
+def warn_of_unrendered(integrator: Integrator, scene: Scene) -> None:
+    """Warn of the materials and lights of a scene that stay black, and of its media that don't show.
+
+    No number of samples changes that.
+    """
+    name = type(integrator).__name__
+    delta = [bsdf.id() for bsdf in scene.bsdfs.plugins if has_flag(bsdf.flags(), BSDFFlags.Delta)]
+    if delta and not integrator.shows_delta:
+        warn(
+            f"'{name}' without BSDF samples can't show mirrors, smooth glass or openings: "
+            f"these lobes of {', '.join(delta)} stay black"
+        )
+    unseen = scattering_media(scene)
+    if unseen and integrator.needs_light and not integrator.follows_media:
+        warn(
+            f"'{name}' doesn't follow light through media: it leaves out {', '.join(unseen)}; "
+            "render with the integrator 'volpath'"
+        )
+    if integrator.starts_at_lights or not integrator.needs_light:
+        return
+    lights = [e for e in scene.emitters() if has_flag(e.flags(), EmitterFlags.Delta)]
+    beams = [e.id() for e in lights if e.on_shape]
+    if beams:
+        warn(f"'{name}' can't show light that leaves a surface in one direction only: {stay_black(beams)}")
+    points = [] if integrator.samples_lights else [e.id() for e in lights if not e.on_shape]
+    if points:
+        warn(
+            f"'{name}' doesn't sample lights, and finds none that is a point or shines in one direction by "
+            f"chance: {stay_black(points)}"
+        )
+
+
+def warn(message: str) -> None:
+    """Warn the caller of `render`, which checks the scene by way of `make_job` and `Integrator.check_scene`."""
+    warnings.warn(message, stacklevel=levels_to_caller())
+
+
+def stay_black(names: Sequence[str]) -> str:
+    """``a stays black``, ``a, b stay black``."""
+    return f"{', '.join(names)} stay{'s' if len(names) == 1 else ''} black"
+
+
+def levels_to_caller() -> int:
+    """The levels from the calling function up to the code outside of djpt that called it, for `warnings.warn`."""
+    level, frame = 1, sys._getframe(1)
+    while frame.f_back is not None and str(frame.f_globals.get("__name__")).split(".")[0] == "djpt":
+        level, frame = level + 1, frame.f_back
+    return level
+
+
+@dataclass
+class PathLoop:
+    """Loop state of one path per lane."""
+
+    o: Point3f
+    d: Vector3f
+    medium: UInt32 | None
+    times: Any
+    """Time of the ray, see `Ray3f.times`: a tuple, whose type Dr.Jit needn't know."""
+    sampler: SampleStream
+    state: Any
+    """A `PathState`; the type is `Any`, because Dr.Jit would look for the name in this module."""
+    radiance: list[Color3f]
+    valid: Bool
+    active: Bool
+
+
+def trace_path(
+    integrator: PathIntegrator,
+    scene: Scene,
+    sampler: SampleStream,
+    ray: Ray3f,
+    active: Bool | bool = True,
+    bounces: int = 0,
+    state: PathState | None = None,
+) -> tuple[list[Color3f], Bool]:
+    """Follow one path per lane to its end, and return its radiance and whether it counts as covered.
+
+    With `bounces` = n, the radiance comes in n parts, for light that was scattered 0 to n - 1 times. Paths begin as
+    the integrator says, or with a given `state`.
+    """
+    lanes = dr.width(ray, sampler)
+    start = PathLoop(
+        o=wide(ray.o, lanes),
+        d=wide(ray.d, lanes),
+        medium=wide(ray.medium, lanes),
+        times=wide(ray.times, lanes),
+        sampler=sampler,
+        state=wide(integrator.begin(scene, sampler) if state is None else state, lanes),
+        radiance=[dr.zeros(Color3f, lanes) for _ in range(max(1, bounces))],
+        valid=dr.full(Bool, False, lanes),
+        active=Bool(active) & dr.full(Bool, True, lanes),
+    )
+
+    def body(lane: PathLoop) -> tuple[PathLoop]:
+        # Only the first ray may have an end. As loop state it would nearly always stay infinite, and Dr.Jit traces
+        # a loop again when it finds that something stays what it is.
+        way = Ray3f(lane.o, lane.d, maxt=dr.select(lane.state.depth == 0, ray.maxt, dr.inf), medium=lane.medium)
+        way.times = lane.times
+        si = integrator.trace(scene, lane.state, way)
+        v = integrator.advance(scene, lane.sampler, lane.state, way, si)
+        reflected, depth = integrator.transmittance(scene, lane.sampler, v), lane.state.depth
+        if bounces:
+            radiance = [
+                r + dr.select(depth == k, v.emitted, dr.select(depth + 1 == k, reflected, 0))
+                for k, r in enumerate(lane.radiance)
+            ]
+        else:
+            radiance = [lane.radiance[0] + v.emitted + reflected]
+        valid = dr.select(v.active, lane.valid, v.valid)
+        on = v.ray
+        return (PathLoop(on.o, on.d, on.medium, on.times, lane.sampler, v.state, radiance, valid, v.active),)
+
+    (end,) = loop_traced_once(start, lambda lane: lane.active, body, type(integrator).__name__)
+    return end.radiance, end.valid

@@ -12,9 +12,13 @@ from djpt.core.records import DirectionSample3f, Ray3f
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
 from djpt.errors import RenderError
-from djpt.integrators.bidirectional.light_paths import LightVertex, departure, is_beam, vertices
-from djpt.integrators.bidirectional.splatting import Sink, SplattingIntegrator
-from djpt.integrators.bidirectional.strategies import MAX_PYRAMID, StrategyImages, layer_names
+from djpt.integrators.bidirectional.strategies import (
+    MAX_PYRAMID,
+    Sink,
+    SplattingIntegrator,
+    StrategyImages,
+    layer_names,
+)
 from djpt.integrators.bidirectional.subpath import (
     CameraHit,
     CameraLane,
@@ -22,12 +26,16 @@ from djpt.integrators.bidirectional.subpath import (
     Lane,
     LightHit,
     LightStep,
+    LightVertex,
     Subpath,
     balance,
+    departure,
+    is_beam,
     meeting,
     mis_weight,
     power,
     scaled,
+    vertices,
 )
 from djpt.integrators.paths.path_vertex import PathVertex, Scattering, is_half_open, next_vertex
 from djpt.integrators.paths.transmittance import transmittance

@@ -16,10 +16,8 @@ from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
 from djpt.emitters.light_samplers import LIGHT_SAMPLERS
 from djpt.integrators.base import PathState, mis_weight
-from djpt.integrators.guiding.cells import Cells, Leaves
-from djpt.integrators.guiding.guide import SIDE, SQUARES, Guide
-from djpt.integrators.guiding.learning import LearningIntegrator, TrainingPaths
-from djpt.integrators.guiding.training import GuidedVertex, train
+from djpt.integrators.guiding.guide import SIDE, SQUARES, Cells, Guide, Leaves
+from djpt.integrators.guiding.training import GuidedVertex, LearningIntegrator, TrainingPaths, train
 from djpt.integrators.paths.unidirectional import UnidirectionalPath
 from djpt.integrators.termination import first_roulette, roulette
 from djpt.jit.kernels import minimum

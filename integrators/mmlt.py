@@ -10,15 +10,15 @@ from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
 from djpt.errors import RenderError
 from djpt.films.footprint import Splats
+from djpt.integrators.base import refuse_scattering_media
 from djpt.integrators.bdpt import BidirectionalPath
 from djpt.integrators.bidirectional.single_strategy import SingleStrategy, numbers_drawn
 from djpt.integrators.markov.chains import Bootstrap, MarkovChains
 from djpt.integrators.path import Path
 from djpt.integrators.paths.passes import PassIntegrator, Walks
-from djpt.integrators.paths.scene_checks import refuse_scattering_media
 from djpt.jit.frozen import recording
 from djpt.jit.types import Color3f, Float, UInt32
-from djpt.samplers.hashing import sample_tea_32
+from djpt.samplers.seeds import sample_tea_32
 from djpt.sensors.base import Sensor
 
 if TYPE_CHECKING:

@@ -12,14 +12,12 @@ from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
 from djpt.errors import RenderError
 from djpt.films.footprint import Splats
-from djpt.integrators.bidirectional.light_paths import departure
-from djpt.integrators.bidirectional.subpath import scaled
+from djpt.integrators.bidirectional.subpath import departure, scaled
 from djpt.integrators.path import Path
 from djpt.integrators.paths.passes import LightPath, PassIntegrator, Walks
 from djpt.integrators.termination import Terminating, first_roulette, roulette
 from djpt.jit.types import Bool, Color3f, Float, Point2f, UInt32
-from djpt.materials.adjoint import eval_pdf_light, sample_light
-from djpt.materials.base import BSDF
+from djpt.materials.base import BSDF, eval_pdf_light, sample_light
 from djpt.materials.pointer import at_fixed_direction
 from djpt.samplers.base import SampleStream
 from djpt.sensors.base import Sensor
@@ -68,7 +66,7 @@ class ParticleTracer(Terminating, PassIntegrator):
 
     J. Arvo, "Backward Ray Tracing", 1986; P. Dutré, E. Lafortune and Y. Willems, "Monte Carlo Light Tracing with Direct
     Computation of Pixel Intensities", 1993; at shading normals light is scattered as in
-    `djpt.materials.adjoint`.
+    `djpt.materials.base`.
     """
 
     pure = True

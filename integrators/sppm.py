@@ -11,8 +11,8 @@ from djpt.core.records import BSDFContext, Ray3f, SurfaceInteraction3f
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
 from djpt.integrators.base import PathState, Vertex
-from djpt.integrators.bidirectional.light_paths import is_beam
-from djpt.integrators.bidirectional.splatting import Sink
+from djpt.integrators.bidirectional.strategies import Sink
+from djpt.integrators.bidirectional.subpath import is_beam
 from djpt.integrators.path import Path
 from djpt.integrators.paths.passes import LightPath
 from djpt.integrators.photons import Photon, PhotonStore, inverse_coverage
@@ -20,7 +20,7 @@ from djpt.integrators.photons.photon_mapping import PhotonMapping, over_cosine, 
 from djpt.integrators.ptracer import leave_light
 from djpt.integrators.termination import roulette
 from djpt.jit.types import Bool, Color3f, Float, Point2f
-from djpt.materials.adjoint import sample_light
+from djpt.materials.base import sample_light
 from djpt.samplers.base import SampleStream
 
 if TYPE_CHECKING:

@@ -9,10 +9,10 @@ import drjit as dr
 
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
+from djpt.integrators.base import refuse_scattering_media
 from djpt.integrators.bdpt import BidirectionalPath
 from djpt.integrators.bidirectional.subpath import Subpath, mis_weight
 from djpt.integrators.paths.path_vertex import PathVertex
-from djpt.integrators.paths.scene_checks import refuse_scattering_media
 from djpt.integrators.photons import Photon, PhotonMap, PhotonStore, inverse_coverage
 from djpt.integrators.photons.photon_mapping import PhotonMapping, over_cosine, scatters
 from djpt.integrators.termination import roulette

@@ -1,4 +1,4 @@
-"""The contract of BSDFs."""
+"""The contract of BSDFs, with bases for some kinds, and the adjoint: light that travels from lights."""
 
 from __future__ import annotations
 
@@ -7,18 +7,29 @@ import functools
 import math
 import operator
 from collections.abc import Callable, Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol
 
 import drjit as dr
 
 from djpt.core.frame import Frame3f
-from djpt.core.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f, TransportMode
+from djpt.core.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f, TransportMode, has_flag
 from djpt.description.plugin import Plugin, TraversalCallback
+from djpt.description.properties import Properties
 from djpt.dispatch.scripted import accept_scripts
-from djpt.errors import RenderError, near_miss
+from djpt.errors import RenderError, SceneError, near_miss
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Vector3f
 
-__all__ = ["BSDF"]
+__all__ = [
+    "BSDF",
+    "BSDFAtPoint",
+    "DeltaBSDF",
+    "NestingBSDF",
+    "SharedWorkBSDF",
+    "derivative_of_choice",
+    "eval_pdf_light",
+    "nested_bsdfs",
+    "sample_light",
+]
 
 
 class BSDF(Plugin):
@@ -60,7 +71,7 @@ class BSDF(Plugin):
     def is_symmetric(self) -> bool:
         """True if light can be followed from lights by `sample`: the BSDF and those nested in it are symmetric.
 
-        Those whose classes don't say so are taken not to be: see `djpt.materials.adjoint`.
+        Those whose classes don't say so are taken not to be: see `djpt.materials.base`.
         """
         nested = (getattr(self, name, None) for name in self.children)
         return self.says("symmetric") and all(plugin.is_symmetric for plugin in nested if isinstance(plugin, BSDF))
@@ -242,3 +253,147 @@ CONVERSIONS: dict[str, Callable[[Any], Any]] = {
     "eval_diffuse_reflectance": Color3f,
     "transmittance": Color3f,
 }
+
+
+class BSDFAtPoint(Protocol):
+    """A BSDF at one surface point, seen from one direction: arguments and results as in `BSDF`."""
+
+    def eval_pdf(self, wo: Vector3f) -> tuple[Color3f, Float]:
+        """The value f abs(cos theta_o), and the density of `sample` at `wo`."""
+
+    def sample(self, sample1: Float, sample2: Point2f) -> tuple[BSDFSample3f, Color3f]:
+        """A sampled direction and its weight."""
+
+
+class SharedWorkBSDF(BSDF):
+    """A BSDF with one method to override, `at`, which computes once all that depends on `wi` and the point alone."""
+
+    def at(self, ctx: BSDFContext, si: SurfaceInteraction3f, active: Bool | bool) -> BSDFAtPoint:
+        """The BSDF at `si`, seen from `si.wi`."""
+        raise NotImplementedError
+
+    def sample(
+        self,
+        ctx: BSDFContext,
+        si: SurfaceInteraction3f,
+        sample1: Float,
+        sample2: Point2f,
+        active: Bool | bool = True,
+    ) -> tuple[BSDFSample3f, Color3f]:
+        if not self.is_asked(ctx):
+            return BSDFSample3f.none(), Color3f(0)
+        return self.at(ctx, si, active).sample(sample1, sample2)
+
+    def eval_pdf(
+        self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
+    ) -> tuple[Color3f, Float]:
+        if not self.is_asked(ctx):
+            return Color3f(0), Float(0)
+        return self.at(ctx, si, active).eval_pdf(wo)
+
+    def eval_pdf_sample(
+        self,
+        ctx: BSDFContext,
+        si: SurfaceInteraction3f,
+        wo: Vector3f,
+        sample1: Float,
+        sample2: Point2f,
+        active: Bool | bool = True,
+    ) -> tuple[Color3f, Float, BSDFSample3f, Color3f]:
+        if not self.is_asked(ctx):
+            return Color3f(0), Float(0), BSDFSample3f.none(), Color3f(0)
+        here = self.at(ctx, si, active)
+        return *here.eval_pdf(wo), *here.sample(sample1, sample2)
+
+
+class DeltaBSDF(BSDF):
+    """A BSDF whose lobes are all delta distributions: only `sample` finds their directions, `eval` and `pdf` are 0."""
+
+    def eval(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Color3f:
+        return Color3f(0)
+
+    def pdf(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Float:
+        return Float(0)
+
+
+def nested_bsdfs(props: Properties, count: int) -> list[Any]:
+    """The BSDFs that a description nests under any keys, in its order; raises `SceneError` unless there are `count`."""
+    found = [plugin for _, plugin in props.children("bsdf")]
+    if len(found) != count:
+        number = ("no", "one", "two")[count]
+        plural = "" if count == 1 else "s"
+        raise SceneError(
+            f"{props.node}: '{props.plugin_name()}' takes {number} nested BSDF{plural}, found {len(found)}"
+        )
+    return found
+
+
+class NestingBSDF(BSDF):
+    """A BSDF that changes one other, `nested_bsdf`: the body has the matter of that one, and its albedo is shown."""
+
+    children: ClassVar[Sequence[str]] = ("nested_bsdf",)
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        (nested,) = nested_bsdfs(props, 1)
+        self.nested_bsdf: BSDF = nested
+        self.absorbs = self.nested_bsdf.absorbs
+
+    def transmittance(self, distance: Float) -> Color3f:
+        return self.nested_bsdf.transmittance(distance)
+
+    def eval_diffuse_reflectance(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
+        return self.nested_bsdf.eval_diffuse_reflectance(si, active)
+
+
+def derivative_of_choice(probability: Float) -> Float:
+    """The number 1 with the derivative of `probability` / detach(`probability`).
+
+    A factor of the weight of a lobe that was chosen with this probability because it carries this fraction of the
+    light: the choice isn't differentiated, the fraction must be.
+    """
+    if not dr.grad_enabled(probability):
+        return Float(1)
+    share = probability * dr.rcp(dr.select(probability > 0, dr.detach(probability), 1))
+    return dr.replace_grad(Float(1), share)  # type: ignore[func-returns-value, return-value]
+
+
+FROM_LIGHT, FROM_CAMERA = BSDFContext(TransportMode.Importance), BSDFContext()
+
+
+def eval_pdf_light(
+    bsdf: BSDF, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
+) -> tuple[Color3f, Float, Float]:
+    """The factor of flux that arrives from `si.wi`, per solid angle of `wo`, and the densities of both ways.
+
+    The value is f(wo, wi) abs(cos(wi, ns) cos(wo, ng) / cos(wi, ng)): that of a path from the camera, which comes from
+    `wo` and goes on to `wi`, with the cosines that light sees. ns is the shading normal, ng the geometric one; it is 0
+    where the two disagree on a direction's side. The densities are that of `sample_light` at `wo`, and that with which
+    a path from the camera, coming from `wo`, goes on to `si.wi`.
+
+    E. Veach, "Robust Monte Carlo Methods for Light Transport Simulation", 1997, 5.3.2.
+    """
+    value, back = bsdf.eval_pdf(FROM_CAMERA, si.replaced(wi=wo), si.wi, active)
+    return value * dr.abs(geometric_ratio(si, wo)), bsdf.pdf(FROM_LIGHT, si, wo, active), back
+
+
+def sample_light(
+    bsdf: BSDF, si: SurfaceInteraction3f, sample1: Float, sample2: Point2f, active: Bool | bool = True
+) -> tuple[BSDFSample3f, Color3f]:
+    """Sample where light that arrives from `si.wi` goes, with the value of `eval_pdf_light` over the density."""
+    bs, weight = bsdf.sample(FROM_LIGHT, si, sample1, sample2, active)
+    ratio = geometric_ratio(si, bs.wo)
+    corrected = weight * dr.select(ratio != 0, dr.abs(si.wi.z * ratio * dr.rcp(bs.wo.z)), 0)
+    if bsdf.is_symmetric:
+        return bs, corrected
+    value, _, _ = eval_pdf_light(bsdf, si, bs.wo, active)
+    exact = dr.select(bs.pdf > 0, value * dr.rcp(bs.pdf), 0)
+    return bs, dr.select(has_flag(bs.sampled_type, BSDFFlags.Delta), corrected, exact)
+
+
+def geometric_ratio(si: SurfaceInteraction3f, wo: Vector3f) -> Float:
+    """cos(wo, ng) / cos(wi, ng); 0 where shading and geometric normal disagree on the side of `si.wi` or `wo`."""
+    n = si.sh_frame.to_local(si.n)
+    wi_cos, wo_cos = dr.dot(n, si.wi), dr.dot(n, wo)
+    ok = (wi_cos * si.wi.z > 0) & (wo_cos * wo.z > 0)
+    return dr.select(ok, wo_cos * dr.rcp(dr.select(ok, wi_cos, 1)), 0)

@@ -7,10 +7,8 @@ import drjit as dr
 from djpt.core.records import ALL_COMPONENTS, BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f, has_flag
 from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
-from djpt.errors import SceneError
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Vector3f
-from djpt.materials.base import BSDF
-from djpt.materials.delta import derivative_of_choice
+from djpt.materials.base import BSDF, derivative_of_choice, nested_bsdfs
 from djpt.materials.mask import rescaled, unit_interval
 
 __all__ = ["BlendBSDF"]
@@ -41,12 +39,9 @@ class BlendBSDF(BSDF):
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         self.weight = props.texture_1("weight", 0.5)
-        nested = [plugin for _, plugin in props.children("bsdf")]
-        if len(nested) != 2:
-            raise SceneError(f"{props.node}: 'blendbsdf' takes two nested BSDFs, found {len(nested)}")
         self.bsdf_0: BSDF
         self.bsdf_1: BSDF
-        self.bsdf_0, self.bsdf_1 = nested
+        self.bsdf_0, self.bsdf_1 = nested_bsdfs(props, 2)
         self.absorbs = self.bsdf_0.absorbs or self.bsdf_1.absorbs
 
     def components(self) -> tuple[int, ...]:

@@ -8,9 +8,9 @@ from djpt.core.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInter
 from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
 from djpt.jit.types import Bool, Color3f, Float, Point2f
-from djpt.materials.delta import DeltaBSDF
+from djpt.materials.base import DeltaBSDF
 from djpt.materials.fresnel import fresnel_conductor, reflect
-from djpt.materials.metals import metal
+from djpt.materials.ior import metal
 
 __all__ = ["Conductor"]
 
@@ -18,7 +18,7 @@ __all__ = ["Conductor"]
 class Conductor(DeltaBSDF):
     """Mirror reflection with the Fresnel reflectance of a complex index eta + i k; black from behind.
 
-    Parameters: `material` (a name of `djpt.materials.metals.METALS`, default `none`: everything is reflected) or
+    Parameters: `material` (a name of `djpt.materials.ior.METALS`, default `none`: everything is reflected) or
     `eta` and `k` (textures in [0, 1e6], defaults 0 and 1); `specular_reflectance` (texture in [0, 1], default 1), a
     factor that real metals don't have.
     """

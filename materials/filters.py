@@ -9,7 +9,7 @@ from djpt.core.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInter
 from djpt.description.plugin import TraversalCallback
 from djpt.description.properties import Properties
 from djpt.jit.types import Bool, Color3f, Float, Point2f
-from djpt.materials.delta import DeltaBSDF
+from djpt.materials.base import DeltaBSDF
 
 __all__ = ["Filter"]
 

@@ -19,9 +19,9 @@ from djpt.errors import ParameterError, SceneError
 from djpt.jit.frozen import recording
 from djpt.jit.kernels import as_float
 from djpt.jit.types import Bool, Color3f, Float, Point2f, UInt32, Vector3f
+from djpt.materials.base import BSDFAtPoint, SharedWorkBSDF
 from djpt.materials.fresnel import fresnel
 from djpt.materials.ior import check_eta, ior
-from djpt.materials.shared_work import BSDFAtPoint, SharedWorkBSDF
 
 __all__ = ["Hair"]
 

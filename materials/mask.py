@@ -7,11 +7,9 @@ import drjit as dr
 from djpt.core.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
 from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
-from djpt.errors import SceneError
 from djpt.jit.kernels import minimum
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Vector3f
-from djpt.materials.base import BSDF
-from djpt.materials.delta import derivative_of_choice
+from djpt.materials.base import NestingBSDF, derivative_of_choice
 
 __all__ = ["Mask", "rescaled", "unit_interval"]
 
@@ -19,7 +17,7 @@ ALMOST_ONE = 1 - 2.0**-24
 """The largest float below 1."""
 
 
-class Mask(BSDF):
+class Mask(NestingBSDF):
     """The nested BSDF where the surface is opaque, straight passage where it isn't.
 
     f = opacity f_nested + (1 - opacity) delta(wo + wi) / abs(cos theta_o).
@@ -36,11 +34,6 @@ class Mask(BSDF):
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         self.opacity = props.texture_1("opacity", 0.5)
-        nested = [plugin for _, plugin in props.children("bsdf")]
-        if len(nested) != 1:
-            raise SceneError(f"{props.node}: 'mask' takes one nested BSDF, found {len(nested)}")
-        self.nested_bsdf: BSDF = nested[0]
-        self.absorbs = self.nested_bsdf.absorbs
 
     def components(self) -> tuple[int, ...]:
         null = int(BSDFFlags.Null | BSDFFlags.FrontSide | BSDFFlags.BackSide)
@@ -119,12 +112,6 @@ class Mask(BSDF):
     def eval_null_transmission(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
         opacity = self._opacity(si, active)
         return 1 - opacity * (1 - self.nested_bsdf.eval_null_transmission(si, active))
-
-    def transmittance(self, distance: Float) -> Color3f:
-        return self.nested_bsdf.transmittance(distance)
-
-    def eval_diffuse_reflectance(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
-        return self.nested_bsdf.eval_diffuse_reflectance(si, active)
 
 
 def unit_interval(x: Float) -> Float:

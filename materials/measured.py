@@ -17,8 +17,8 @@ from djpt.description.tensor_files import read_tensors
 from djpt.distributions.marginal_2d import MarginalContinuous2D0, MarginalContinuous2D2
 from djpt.errors import DjptError, FileError
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Vector3f
+from djpt.materials.base import BSDFAtPoint, SharedWorkBSDF
 from djpt.materials.fresnel import reflect
-from djpt.materials.shared_work import BSDFAtPoint, SharedWorkBSDF
 
 __all__ = ["Measured"]
 

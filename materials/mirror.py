@@ -7,10 +7,10 @@ from djpt.description.plugin import TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
 from djpt.jit.types import Bool, Color3f, Float
+from djpt.materials.base import DeltaBSDF
 from djpt.materials.conductor import Conductor
-from djpt.materials.delta import DeltaBSDF
 from djpt.materials.fresnel import fresnel_conductor, schlick
-from djpt.materials.metals import metal
+from djpt.materials.ior import metal
 
 __all__ = ["Mirror"]
 

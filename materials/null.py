@@ -5,7 +5,7 @@ from __future__ import annotations
 from djpt.core.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
 from djpt.description.registry import register_bsdf
 from djpt.jit.types import Bool, Color3f, Float, Point2f
-from djpt.materials.delta import DeltaBSDF
+from djpt.materials.base import DeltaBSDF
 
 __all__ = ["Null"]
 

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import ClassVar
-
 import drjit as dr
 
 from djpt.core.frame import Frame3f
 from djpt.core.records import BSDFContext, BSDFSample3f, SurfaceInteraction3f
 from djpt.description.properties import Properties
-from djpt.errors import SceneError
 from djpt.jit.kernels import maximum
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Vector3f
-from djpt.materials.base import BSDF
+from djpt.materials.base import NestingBSDF
 
 __all__ = ["PerturbedBSDF"]
 
@@ -21,7 +17,7 @@ TINY = 1e-20
 """Vectors of a smaller squared length have no direction."""
 
 
-class PerturbedBSDF(BSDF):
+class PerturbedBSDF(NestingBSDF):
     """The nested BSDF, seen in a frame about another normal.
 
     Parameters: one nested BSDF, under any key (its parameters are listed under `nested_bsdf`), and
@@ -37,16 +33,10 @@ class PerturbedBSDF(BSDF):
     Directions that lie above one of the two horizons and below the other are black: no light leaks through.
     """
 
-    children: ClassVar[Sequence[str]] = ("nested_bsdf",)
     statics = ("flip_invalid_normals", "use_shadowing_function")
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
-        nested = [plugin for _, plugin in props.children("bsdf")]
-        if len(nested) != 1:
-            raise SceneError(f"{props.node}: '{props.plugin_name()}' takes one nested BSDF, found {len(nested)}")
-        self.nested_bsdf: BSDF = nested[0]
-        self.absorbs = self.nested_bsdf.absorbs
         self.flip_invalid_normals = props.boolean("flip_invalid_normals", True)
         self.use_shadowing_function = props.boolean("use_shadowing_function", True)
 
@@ -138,12 +128,6 @@ class PerturbedBSDF(BSDF):
 
     def eval_null_transmission(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
         return self.nested_bsdf.eval_null_transmission(self._tilted(si, active)[1], active)
-
-    def transmittance(self, distance: Float) -> Color3f:
-        return self.nested_bsdf.transmittance(distance)
-
-    def eval_diffuse_reflectance(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
-        return self.nested_bsdf.eval_diffuse_reflectance(si, active)
 
 
 def direction(v: Vector3f, otherwise: Vector3f) -> Vector3f:

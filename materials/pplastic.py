@@ -13,12 +13,11 @@ from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
 from djpt.errors import SceneError
 from djpt.jit.types import Bool, Color3f, Float, Vector3f
+from djpt.materials.base import BSDFAtPoint, SharedWorkBSDF
 from djpt.materials.dielectric import optional_texture, tint
 from djpt.materials.fresnel import fresnel
 from djpt.materials.ior import ior
-from djpt.materials.microfacet import MicrofacetDistribution, alpha_textures, distribution_name
-from djpt.materials.rough_coat import RoughCoatAtPoint
-from djpt.materials.shared_work import BSDFAtPoint, SharedWorkBSDF
+from djpt.materials.microfacet import MicrofacetDistribution, RoughCoatAtPoint, alpha_textures, distribution_name
 from djpt.textures.base import Texture
 
 __all__ = ["PolarizedPlastic"]

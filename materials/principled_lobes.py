@@ -21,7 +21,6 @@ from djpt.materials.base import BSDF
 from djpt.textures.base import Texture
 
 __all__ = [
-    "GRAZING",
     "GTR1",
     "PrincipledBase",
     "Scalars",
@@ -30,7 +29,6 @@ __all__ = [
     "half_vector",
     "inverse",
     "schlick_r0",
-    "schlick_weight",
     "sheen",
     "smith_g1",
     "square_root",

@@ -11,11 +11,11 @@ from djpt.description.plugin import TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Vector3f
+from djpt.materials.base import BSDFAtPoint, SharedWorkBSDF
 from djpt.materials.dielectric import optional_texture, tint
 from djpt.materials.fresnel import fresnel_conductor, reflect
-from djpt.materials.metals import metal
+from djpt.materials.ior import metal
 from djpt.materials.microfacet import MicrofacetDistribution, alpha_textures, distribution_name
-from djpt.materials.shared_work import BSDFAtPoint, SharedWorkBSDF
 
 __all__ = ["RoughConductor"]
 
@@ -27,7 +27,7 @@ class RoughConductor(SharedWorkBSDF):
     `MicrofacetDistribution` (R. L. Cook and K. E. Torrance, TOG 1(1), 1982; Walter et al., EGSR 2007).
 
     Parameters:
-        material: a name of `djpt.materials.metals.METALS` (default `none`: everything is reflected); or
+        material: a name of `djpt.materials.ior.METALS` (default `none`: everything is reflected); or
         eta, k: the complex index (textures in [0, 1e6], defaults 0 and 1).
         distribution: of the microfacets, `beckmann` (default) or `ggx`.
         alpha: roughness (scalar texture in [0, 1], default 0.1; at least 1e-4 counts); or

@@ -13,12 +13,11 @@ from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
 from djpt.jit.kernels import as_float
 from djpt.jit.types import Bool, Color3f, Float, Point2f, UInt32, Vector3f
-from djpt.materials.delta import derivative_of_choice
+from djpt.materials.base import BSDFAtPoint, SharedWorkBSDF, derivative_of_choice
 from djpt.materials.dielectric import optional_texture, tint
 from djpt.materials.fresnel import fresnel, reflect, refract
 from djpt.materials.ior import check_eta, ior
 from djpt.materials.microfacet import MicrofacetDistribution, alpha_textures, distribution_name
-from djpt.materials.shared_work import BSDFAtPoint, SharedWorkBSDF
 
 __all__ = ["RoughDielectric"]
 

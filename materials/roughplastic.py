@@ -21,12 +21,11 @@ from djpt.errors import ParameterError, SceneError
 from djpt.jit.frozen import recording
 from djpt.jit.kernels import as_float, opaque
 from djpt.jit.types import Bool, Color3f, Float, Point2f, TensorXf, UInt32, Vector3f
+from djpt.materials.base import BSDFAtPoint, SharedWorkBSDF
 from djpt.materials.dielectric import optional_texture, tint
 from djpt.materials.fresnel import fresnel, reflect, refract
 from djpt.materials.ior import check_eta, ior
-from djpt.materials.microfacet import MIN_ALPHA, MicrofacetDistribution, distribution_name
-from djpt.materials.rough_coat import RoughCoatAtPoint
-from djpt.materials.shared_work import BSDFAtPoint, SharedWorkBSDF
+from djpt.materials.microfacet import MIN_ALPHA, MicrofacetDistribution, RoughCoatAtPoint, distribution_name
 
 __all__ = ["RoughPlastic"]
 

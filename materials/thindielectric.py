@@ -13,7 +13,7 @@ from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
 from djpt.jit.kernels import as_float
 from djpt.jit.types import Bool, Color3f, Float, Point2f, UInt32
-from djpt.materials.delta import DeltaBSDF, derivative_of_choice
+from djpt.materials.base import DeltaBSDF, derivative_of_choice
 from djpt.materials.dielectric import optional_texture, tint
 from djpt.materials.fresnel import fresnel, reflect
 from djpt.materials.ior import check_eta, ior

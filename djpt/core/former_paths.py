@@ -17,7 +17,7 @@ __all__ = ["FORMER", "FormerPaths", "present_path"]
 
 FORMER = {
     # what plugins and scripts import
-    "djpt.arithmetic": "djpt.jit.arithmetic",
+    "djpt.arithmetic": "djpt.jit.kernels",
     "djpt.backends": "djpt.jit.backends",
     "djpt.kernels": "djpt.jit.kernels",
     "djpt.lookup": "djpt.jit.kernels",

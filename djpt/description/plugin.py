@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from djpt.description.properties import Properties
 
-__all__ = ["Endpoint", "Frame", "NotMovable", "ParamFlags", "Plugin", "TraversalCallback", "is_plain"]
+__all__ = ["HIDDEN", "Endpoint", "Frame", "NotMovable", "ParamFlags", "Plugin", "TraversalCallback", "is_plain"]
 
 
 class NotMovable(DjptError):
@@ -88,6 +88,10 @@ class ParamFlags(enum.IntFlag):
     def differentiable(self) -> bool:
         """True if derivatives with respect to the parameter are computed."""
         return not self & ParamFlags.NonDifferentiable
+
+
+HIDDEN = ParamFlags.NonDifferentiable
+"""The flags of values that kernels read and `traverse` doesn't report: what a plugin computes from its parameters."""
 
 
 class TraversalCallback:

@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
+from weakref import WeakKeyDictionary
 
 import drjit as dr
 import numpy as np
@@ -27,7 +28,7 @@ from djpt.description.plugin import Plugin
 from djpt.dispatch.tables import Buffer, channels_of
 from djpt.jit.frozen import recording
 from djpt.jit.kernels import if_stmt, may_wait, opaque
-from djpt.jit.types import Bool, UInt32
+from djpt.jit.types import Bool, Float, UInt32
 
 __all__ = [
     "Attached",
@@ -37,8 +38,10 @@ __all__ = [
     "Leaf",
     "Lookup",
     "TableLeaf",
+    "followed",
     "is_attached",
     "may_vanish",
+    "prepare_followed",
     "structure",
 ]
 
@@ -391,3 +394,52 @@ class Ensemble(Generic[P]):
     def members(self, group: Group[P], index: UInt32) -> Bool:
         """True where plugin number `index` belongs to `group`."""
         return self._members[id(group)].contain(index)
+
+
+_latest: WeakKeyDictionary[Ensemble[Any], tuple[Any, Attached]] = WeakKeyDictionary()
+"""The lookups that were made last for each ensemble, with the values that they were made for: for use in loops."""
+
+
+def is_tracking() -> bool:
+    """True if gradients are tracked here, and not suspended."""
+    probe = Float(0)
+    dr.enable_grad(probe)
+    return bool(dr.grad_enabled(probe))
+
+
+def followed(ensemble: Ensemble[Any], values: Lookup) -> Lookup:
+    """`values`, or if some values of the ensemble have gradients, and these are tracked, lookups attached to them.
+
+    Rendering suspends the tracking of gradients and attaches what it differentiates itself. A script that evaluates a
+    BSDF where gradients are tracked expects the result to depend on the parameters of the scene.
+
+    Within a loop that Dr.Jit records tables can't be made: there it is `values`, unless there are tables from before.
+    Outside of loops they are made anew, because a traversal cuts the way from them to the values.
+    """
+    if type(values) is not Detached or not is_tracking():
+        return values
+    found = {
+        (id(owner), leaf.attribute): value
+        for leaf in ensemble.leaves()
+        for owner in leaf.owners
+        if dr.grad_enabled(value := getattr(owner, leaf.attribute))
+    }
+    if not found:
+        return values
+    key = dr.detail.collect_indices(list(found.values()))
+    if dr.flag(dr.JitFlag.SymbolicScope):
+        made = _latest.get(ensemble)
+        return made[1] if made is not None and made[0] == key else values
+    attached = Attached(found)
+    attached.prepare(ensemble.leaves())
+    _latest[ensemble] = key, attached
+    return attached
+
+
+def prepare_followed(ensembles: Iterable[Ensemble[Any]], values: Lookup) -> None:
+    """Make the tables that a script's loop will need if it tracks gradients."""
+    if type(values) is not Detached or dr.flag(dr.JitFlag.SymbolicScope):
+        return
+    with dr.resume_grad():
+        for ensemble in ensembles:
+            followed(ensemble, values)

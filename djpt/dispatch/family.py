@@ -14,8 +14,7 @@ from djpt.core.lookup import MAX_CHAIN, Members, Numbers, choose, is_one_of, run
 from djpt.core.records import DirectionSample3f, Ray3f, Record
 from djpt.core.records.record import SceneRef, only
 from djpt.description.plugin import Plugin
-from djpt.dispatch.ensemble import Detached, Ensemble, Lookup
-from djpt.dispatch.followed import followed
+from djpt.dispatch.ensemble import Detached, Ensemble, Lookup, followed
 from djpt.errors import SceneError
 from djpt.jit.types import Bool, Float, UInt32
 

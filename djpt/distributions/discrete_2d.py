@@ -9,13 +9,12 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
+from djpt.description.plugin import HIDDEN, ParamFlags, Plugin, TraversalCallback
 from djpt.jit.kernels import aligned_floats, as_float, maximum
 from djpt.jit.types import Bool, Float, Point2f, TensorXf, UInt32
 
 __all__ = ["DiscreteDistribution2D"]
 
-HIDDEN = ParamFlags.NonDifferentiable
 LEAST = 2.0**-33
 """Stands for a sample of 0, so that a cell of weight 0 in the corner isn't chosen."""
 

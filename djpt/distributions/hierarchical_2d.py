@@ -10,14 +10,13 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
+from djpt.description.plugin import HIDDEN, ParamFlags, Plugin, TraversalCallback
 from djpt.distributions.grids import cell_masses, corner_table, halve
 from djpt.jit.kernels import aligned_floats, as_vector, if_stmt, lerp, maximum, minimum
 from djpt.jit.types import Array4f, Bool, Float, Point2f, TensorXf, UInt32
 
 __all__ = ["Hierarchical2D", "entry", "place_in_cell"]
 
-HIDDEN = ParamFlags.NonDifferentiable
 LEAST = 2.0**-33
 """Stands for a sample of 0, which would lead into cells of weight 0."""
 TINY = 1e-37

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import ClassVar
 
 import drjit as dr
 import numpy as np
@@ -22,19 +23,49 @@ from djpt.core.warp import square_to_cosine_hemisphere
 from djpt.description.plugin import TraversalCallback
 from djpt.description.properties import LARGEST, Properties
 from djpt.description.registry import register_emitter
-from djpt.emitters.base import Emitter
-from djpt.emitters.bounds import LightBounds
+from djpt.emitters.base import Emitter, LightBounds
 from djpt.emitters.extent import area_of, mean_of, normals_of, require_area
 from djpt.errors import SceneError
 from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, Vector3f
 from djpt.shapes.base import towards
 
-__all__ = ["Area"]
+__all__ = ["Area", "SurfaceEmitter"]
 
 INV_PI = 1 / math.pi
 
 
-class Area(Emitter):
+class SurfaceEmitter(Emitter):
+    """Light that leaves the shape that the emitter is nested in, in proportion to a texture, `radiance`."""
+
+    children = ("radiance", "shape")
+    on_shape = True
+    spread: ClassVar[float]
+    """The largest angle between light and the shape's normals, in radians."""
+    emitted: ClassVar[float]
+    """The power that a unit of area emits, in units of `radiance`."""
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        if "to_world" in props:
+            raise SceneError(f"{props.node}: an area light has no 'to_world'; move the shape that carries it")
+        self.radiance = props.texture("radiance", 1.0, low=0.0, high=LARGEST)
+
+    def traverse(self, callback: TraversalCallback) -> None:
+        callback.put("sampling_weight", self.share, attribute="share")
+        callback.put("radiance", self.radiance)
+
+    def set_bounds(self, center: NDArray[np.float64], radius: float) -> None:
+        self._scene = (center - radius, center + radius)
+
+    def power(self) -> float:
+        return self.emitted * mean_of(self.radiance) * area_of(self.shape, self._scene)
+
+    def bounds(self) -> LightBounds:
+        low, high = self.shape.world_box()
+        return LightBounds(low, high, *normals_of(self.shape), self.spread, self.power())
+
+
+class Area(SurfaceEmitter):
     """Diffuse light from a shape: equal radiance in all directions on the side of its normal.
 
     The emitter is nested in the shape. Parameters: `radiance` (texture, W m^-2 sr^-1, default 1, not negative).
@@ -48,32 +79,12 @@ class Area(Emitter):
     """
 
     in_any_frame = True
-    children = ("radiance", "shape")
-    on_shape = True
+    m_flags = int(EmitterFlags.Surface)
+    spread, emitted = math.pi / 2, math.pi
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
-        if "to_world" in props:
-            raise SceneError(f"{props.node}: an area light has no 'to_world'; move the shape that carries it")
-        self.radiance = props.texture("radiance", 1.0, low=0.0, high=LARGEST)
         self.radiance.prepare_sampling()
-
-    def traverse(self, callback: TraversalCallback) -> None:
-        callback.put("sampling_weight", self.share, attribute="share")
-        callback.put("radiance", self.radiance)
-
-    def flags(self, active: Bool | bool = True) -> int:
-        return int(EmitterFlags.Surface)
-
-    def set_bounds(self, center: NDArray[np.float64], radius: float) -> None:
-        self._scene = (center - radius, center + radius)
-
-    def power(self) -> float:
-        return math.pi * mean_of(self.radiance) * area_of(self.shape, self._scene)
-
-    def bounds(self) -> LightBounds:
-        low, high = self.shape.world_box()
-        return LightBounds(low, high, *normals_of(self.shape), math.pi / 2, self.power())
 
     @property
     def follows_texture(self) -> bool:

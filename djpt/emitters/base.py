@@ -1,9 +1,11 @@
-"""The contract of emitters."""
+"""The contract of emitters, and bases for those that are points or infinitely far away."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
+import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,19 +15,39 @@ from djpt.core.records import (
     EmissionSample,
     EmitterFlags,
     Observer,
+    Ray3f,
     SurfaceInteraction3f,
     has_flag,
 )
 from djpt.description.plugin import NotMovable, TraversalCallback
 from djpt.description.properties import Properties
-from djpt.emitters.bounds import LightBounds
 from djpt.emitters.mitsuba_api import EmitterQuestions
-from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, Vector3f
+from djpt.jit.kernels import as_float, as_vector
+from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, UInt32, Vector3f
 
 if TYPE_CHECKING:
     from djpt.description.plugin import Frame
 
-__all__ = ["Emitter"]
+__all__ = ["DeltaEmitter", "Emitter", "InfiniteEmitter", "LightBounds", "beam"]
+
+
+@dataclass(frozen=True)
+class LightBounds:
+    """A box that holds the emitter, and a cone that holds the directions of its light.
+
+    The normals of what shines lie within `theta_o` of `axis`, and light leaves within `theta_e` of a
+    normal (A. Conty Estevez and C. Kulla, "Importance Sampling of Many Lights with Adaptive Tree
+    Splitting", 2018). World space; angles in radians.
+    """
+
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    axis: NDArray[np.float64]
+    """The cone's axis, of unit length."""
+    theta_o: float
+    theta_e: float
+    power: float
+    """The emitted power in W, an estimate: see `Emitter.power`."""
 
 
 class Emitter(EmitterQuestions):
@@ -159,3 +181,59 @@ class Emitter(EmitterQuestions):
             SceneError: the emitter is on a shape whose area isn't known.
         """
         raise NotImplementedError
+
+
+class DeltaEmitter(Emitter):
+    """A light that no ray meets and no density finds: only its own samples lead to it."""
+
+    def eval(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
+        return Color3f(0)
+
+    def pdf_direction(self, it: Observer, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
+        return Float(0)
+
+
+class InfiniteEmitter(Emitter):
+    """Light from infinity: it enters through the sphere about the scene, whose `center` and `radius` kernels read."""
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        self.set_bounds(np.zeros(3), 1.0)
+
+    def set_bounds(self, center: NDArray[np.float64], radius: float) -> None:
+        self.center, self.radius = as_vector(center), as_float(radius)
+
+    def bounds(self) -> LightBounds | None:
+        return None
+
+    @staticmethod
+    def towards(it: Observer, d: Vector3f, uv: Point2f, pdf: Float, weight: Float) -> DirectionSample3f:
+        """The sample of the direction `d` from `it`, with its density and the inverse of that."""
+        # The point is a stand-in for that at infinity; visibility rays use `d` (see `Scene.shadow_ray`).
+        return DirectionSample3f.of(it.p + d, -d, uv, d, Float(dr.inf), pdf, weight, Bool(False), UInt32(0))
+
+
+def beam(
+    ray: Ray3f,
+    weight: Color3f,
+    pdf_position: Float,
+    pdf_direction: Float,
+    uv: Point2f | None = None,
+    finite: bool = False,
+    delta: bool = False,
+) -> EmissionSample:
+    """The `EmissionSample` of light that leaves straight through what it starts at.
+
+    `uv` is the place in the light's picture, if it throws one.
+    """
+    return EmissionSample(
+        ray=ray,
+        weight=weight,
+        n=ray.d,
+        uv=Point2f(0) if uv is None else uv,
+        cos=Float(1),
+        pdf_position=pdf_position,
+        pdf_direction=pdf_direction,
+        finite=Bool(finite),
+        delta=Bool(delta),
+    )

@@ -7,8 +7,6 @@ from collections.abc import Mapping
 from typing import ClassVar
 
 import drjit as dr
-import numpy as np
-from numpy.typing import NDArray
 
 from djpt.core.frame import Frame3f
 from djpt.core.records import DirectionSample3f, EmissionSample, EmitterFlags, Observer, Ray3f, SurfaceInteraction3f
@@ -16,18 +14,16 @@ from djpt.core.warp import square_to_cosine_hemisphere, square_to_uniform_sphere
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import LARGEST, Properties
 from djpt.description.registry import register_emitter
-from djpt.emitters.base import Emitter
-from djpt.emitters.bounds import LightBounds
+from djpt.emitters.base import InfiniteEmitter, beam
 from djpt.emitters.extent import mean_of, number
-from djpt.jit.kernels import as_float, as_vector
-from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, UInt32, Vector3f
+from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, Vector3f
 
 __all__ = ["ConstantBackground"]
 
 INV_FOUR_PI = 1 / (4 * math.pi)
 
 
-class ConstantBackground(Emitter):
+class ConstantBackground(InfiniteEmitter):
     """An environment of constant radiance, sampled uniformly over the sphere: pdf = 1 / (4 pi).
 
     Rays that leave it start at a uniform point of the sphere about the scene, of radius r, and go inwards with a
@@ -40,8 +36,8 @@ class ConstantBackground(Emitter):
     """
 
     in_any_frame = True
-    # Of the sphere about the scene.
     values: ClassVar[Mapping[str, ParamFlags]] = dict.fromkeys(("center", "radius"), ParamFlags.NonDifferentiable)
+    m_flags = int(EmitterFlags.Infinite)
     children = ("radiance",)
 
     def __init__(self, props: Properties) -> None:
@@ -49,23 +45,13 @@ class ConstantBackground(Emitter):
         self.radiance = props.texture("radiance", 1.0, low=0.0, high=LARGEST)
         if not self.radiance.is_constant:
             raise props.error("radiance", "can't vary: this light has no surface")
-        self.set_bounds(np.zeros(3), 1.0)
 
     def traverse(self, callback: TraversalCallback) -> None:
         callback.put("sampling_weight", self.share, attribute="share")
         callback.put("radiance", self.radiance)
 
-    def set_bounds(self, center: NDArray[np.float64], radius: float) -> None:
-        self.center, self.radius = as_vector(center), as_float(radius)
-
     def power(self) -> float:
         return mean_of(self.radiance) * (2 * math.pi * number(self.radius)) ** 2
-
-    def bounds(self) -> LightBounds | None:
-        return None
-
-    def flags(self, active: Bool | bool = True) -> int:
-        return int(EmitterFlags.Infinite)
 
     def eval(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
         return self.radiance.eval(si, active)
@@ -74,18 +60,7 @@ class ConstantBackground(Emitter):
         self, it: Observer, sample: Point2f, active: Bool | bool = True
     ) -> tuple[DirectionSample3f, Color3f]:
         d = square_to_uniform_sphere(Point2f(sample))
-        ds = DirectionSample3f.of(
-            # A stand-in for the point at infinity; visibility rays use `d` (see `Scene.shadow_ray`).
-            it.p + d,
-            -d,
-            Point2f(0),
-            d,
-            Float(dr.inf),
-            Float(INV_FOUR_PI),
-            Float(4 * math.pi),
-            Bool(False),
-            UInt32(0),
-        )
+        ds = self.towards(it, d, Point2f(0), Float(INV_FOUR_PI), Float(4 * math.pi))
         return ds, self.radiance.eval(ds, active) * (4 * math.pi)
 
     def pdf_direction(self, it: Observer, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
@@ -98,18 +73,8 @@ class ConstantBackground(Emitter):
         d = Frame3f.from_normal(-outward).to_world(square_to_cosine_hemisphere(direction_sample))
         ray = Ray3f(dr.fma(outward, self.radius, self.center), d)
         position, direction = self.pdf_emission(d, d, Point2f(0))
-        return EmissionSample(
-            ray=ray,
-            # The inverse of the densities' product.
-            weight=self.radiance.eval(ray, active) * dr.square(2 * math.pi * self.radius),
-            n=d,
-            uv=Point2f(0),
-            cos=Float(1),
-            pdf_position=position,
-            pdf_direction=direction,
-            finite=Bool(False),
-            delta=Bool(False),
-        )
+        # The inverse of the densities' product.
+        return beam(ray, self.radiance.eval(ray, active) * dr.square(2 * math.pi * self.radius), position, direction)
 
     def pdf_emission(self, d: Vector3f, n: Normal3f, uv: Point2f, active: Bool | bool = True) -> tuple[Float, Float]:
         return dr.rcp(math.pi * dr.square(self.radius)), Float(INV_FOUR_PI)

@@ -11,23 +11,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.core.frame import coordinate_system
-from djpt.core.records import DirectionSample3f, EmissionSample, EmitterFlags, Observer, Ray3f, SurfaceInteraction3f
+from djpt.core.records import DirectionSample3f, EmissionSample, EmitterFlags, Observer, Ray3f
 from djpt.core.transforms import ScalarTransform4f
 from djpt.core.warp import square_to_uniform_disk_concentric
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import LARGEST, Properties
 from djpt.description.registry import register_emitter
-from djpt.emitters.bounds import LightBounds
+from djpt.emitters.base import DeltaEmitter, InfiniteEmitter, beam
 from djpt.emitters.extent import mean_of, number
 from djpt.emitters.oriented import OrientedEmitter
 from djpt.errors import SceneError
-from djpt.jit.kernels import as_float, as_vector
+from djpt.jit.kernels import as_vector
 from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, UInt32, Vector3f
 
 __all__ = ["DirectionalEmitter"]
 
 
-class DirectionalEmitter(OrientedEmitter):
+class DirectionalEmitter(DeltaEmitter, InfiniteEmitter, OrientedEmitter):
     """Light that travels in one direction everywhere; a plane across it receives `irradiance`.
 
     Parameters: `irradiance` (texture, W m^-2, default 1, not negative, can't vary), and `direction` (in which the
@@ -37,9 +37,9 @@ class DirectionalEmitter(OrientedEmitter):
     in_any_frame = True
     values: ClassVar[Mapping[str, ParamFlags]] = {
         **OrientedEmitter.values,
-        # Of the sphere about the scene.
         **dict.fromkeys(("center", "radius"), ParamFlags.NonDifferentiable),
     }
+    m_flags = int(EmitterFlags.Infinite | EmitterFlags.DeltaDirection)
     children = ("irradiance",)
 
     def __init__(self, props: Properties) -> None:
@@ -55,26 +55,13 @@ class DirectionalEmitter(OrientedEmitter):
         self.irradiance = props.texture("irradiance", 1.0, low=0.0, high=LARGEST)
         if not self.irradiance.is_constant:
             raise props.error("irradiance", "can't vary: this light has no surface")
-        self.set_bounds(np.zeros(3), 1.0)
 
     # ---- on the host -------------------------------------------------------------------
-
-    def flags(self, active: Bool | bool = True) -> int:
-        return int(EmitterFlags.Infinite | EmitterFlags.DeltaDirection)
-
-    def set_bounds(self, center: NDArray[np.float64], radius: float) -> None:
-        self.center, self.radius = as_vector(center), as_float(radius)
 
     def power(self) -> float:
         return math.pi * number(self.radius) ** 2 * mean_of(self.irradiance)
 
-    def bounds(self) -> LightBounds | None:
-        return None
-
     # ---- in kernels --------------------------------------------------------------------
-
-    def eval(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
-        return Color3f(0)
 
     def sample_direction(
         self, it: Observer, sample: Point2f, active: Bool | bool = True
@@ -93,9 +80,6 @@ class DirectionalEmitter(OrientedEmitter):
         )
         return ds, self.irradiance.eval(ds, active)
 
-    def pdf_direction(self, it: Observer, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
-        return Float(0)
-
     def sample_emission(
         self, position_sample: Point2f, direction_sample: Point2f, active: Bool | bool = True
     ) -> EmissionSample:
@@ -104,17 +88,7 @@ class DirectionalEmitter(OrientedEmitter):
         o = dr.fma(self.local_to_world(Vector3f(at.x, at.y, -1)), self.radius, self.center)
         ray = Ray3f(o, Vector3f(self.forward))
         area = math.pi * dr.square(self.radius)
-        return EmissionSample(
-            ray=ray,
-            weight=self.irradiance.eval(ray, active) * area,
-            n=ray.d,
-            uv=Point2f(0),
-            cos=Float(1),
-            pdf_position=dr.rcp(area),
-            pdf_direction=Float(1),
-            finite=Bool(False),
-            delta=Bool(True),
-        )
+        return beam(ray, self.irradiance.eval(ray, active) * area, dr.rcp(area), Float(1), delta=True)
 
     def pdf_emission(self, d: Vector3f, n: Normal3f, uv: Point2f, active: Bool | bool = True) -> tuple[Float, Float]:
         return dr.rcp(math.pi * dr.square(self.radius)), Float(1)

@@ -14,31 +14,30 @@ from djpt.core.frame import Frame3f
 from djpt.core.numeric import non_negative
 from djpt.core.records import DirectionSample3f, EmissionSample, EmitterFlags, Observer, Ray3f, SurfaceInteraction3f
 from djpt.core.warp import square_to_uniform_disk_concentric
-from djpt.description.plugin import ParamFlags, TraversalCallback
+from djpt.description.plugin import HIDDEN, ParamFlags, TraversalCallback
 from djpt.description.properties import LARGEST, Allowed, Properties
 from djpt.description.registry import register_emitter
 from djpt.distributions import Hierarchical2D
 from djpt.distributions.grids import luminance, side_by_side
 from djpt.distributions.hierarchical_2d import entry, place_in_cell
-from djpt.emitters.bounds import LightBounds
+from djpt.emitters.base import InfiniteEmitter, beam
 from djpt.emitters.extent import number
 from djpt.emitters.oriented import OrientedEmitter
 from djpt.errors import ParameterError, SceneError
 from djpt.jit.frozen import recording
-from djpt.jit.kernels import aligned_floats, as_float, as_vector, lerp, maximum, minimum
+from djpt.jit.kernels import aligned_floats, lerp, maximum, minimum
 from djpt.jit.types import Bool, Color3f, Float, Int32, Normal3f, Point2f, TensorXf, UInt32, Vector3f
 from djpt.textures.texels import as_texels, check_texels, load_texels, numbers_of
 
 __all__ = ["EnvironmentMap"]
 
-HIDDEN = ParamFlags.NonDifferentiable
 INV_PI = 1 / math.pi
 SPHERE = 2 * math.pi**2
 """Area of the (phi, theta) rectangle: solid angle is this times sin(theta) times area of the unit square."""
 LEAST_SINE = 2.0**-24
 
 
-class EnvironmentMap(OrientedEmitter):
+class EnvironmentMap(InfiniteEmitter, OrientedEmitter):
     """Radiance from infinity as a picture in latitude and longitude.
 
     L(d) = scale data(u, v) with d = (sin(phi) sin(theta), cos(theta), -cos(phi) sin(theta)), phi = 2 pi u and
@@ -73,6 +72,7 @@ class EnvironmentMap(OrientedEmitter):
         "data": ParamFlags.Differentiable | ParamFlags.Discontinuous,
         "texels": HIDDEN,
     }
+    m_flags = int(EmitterFlags.Infinite | EmitterFlags.SpatiallyVarying)
     shares_lookup = True
     children = ("distribution", "ray_distribution")
 
@@ -94,7 +94,6 @@ class EnvironmentMap(OrientedEmitter):
             key = next(key for key in ("filename", "bitmap", "data") if key in props)
             raise props.error(key, str(error)) from None
         self._measure()
-        self.set_bounds(np.zeros(3), 1.0)
 
     # ---- on the host -------------------------------------------------------------------
 
@@ -148,17 +147,8 @@ class EnvironmentMap(OrientedEmitter):
         # Radiance with the density of `distribution` at the texels: a lookup gives both.
         self.texels = TensorXf(side_by_side(texels, self.distribution.at_corners[:, :-1]))
 
-    def flags(self, active: Bool | bool = True) -> int:
-        return int(EmitterFlags.Infinite | EmitterFlags.SpatiallyVarying)
-
-    def set_bounds(self, center: NDArray[np.float64], radius: float) -> None:
-        self.center, self.radius = as_vector(center), as_float(radius)
-
     def power(self) -> float:
         return number(self.scale) * self._mean * (2 * math.pi * number(self.radius)) ** 2
-
-    def bounds(self) -> LightBounds | None:
-        return None
 
     # ---- in kernels --------------------------------------------------------------------
 
@@ -200,19 +190,7 @@ class EnvironmentMap(OrientedEmitter):
     ) -> tuple[DirectionSample3f, Color3f]:
         local, uv, pdf, weight, radiance = self._sample(self.distribution, sample, active)
         d = self.local_to_world(local)
-        ds = DirectionSample3f.of(
-            # A stand-in for the point at infinity; visibility rays use `d` (see `Scene.shadow_ray`).
-            it.p + d,
-            -d,
-            uv,
-            d,
-            Float(dr.inf),
-            pdf,
-            weight,
-            Bool(False),
-            UInt32(0),
-        )
-        return ds, radiance * weight
+        return self.towards(it, d, uv, pdf, weight), radiance * weight
 
     def pdf_direction(self, it: Observer, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
         return self._pdf(self.distribution, ds.d, active)
@@ -227,17 +205,9 @@ class EnvironmentMap(OrientedEmitter):
         d = self.local_to_world(-local)
         # Mitsuba 3.9.1 forgets to turn the disk.
         across = self.local_to_world(Frame3f.from_normal(local).to_world(Vector3f(at.x, at.y, 0)))
-        return EmissionSample(
-            ray=Ray3f(dr.fma(across - d, self.radius, self.center), d),
-            weight=radiance * (weight * math.pi * dr.square(self.radius)),
-            n=d,
-            uv=uv,
-            cos=Float(1),
-            pdf_position=dr.rcp(math.pi * dr.square(self.radius)),
-            pdf_direction=pdf,
-            finite=Bool(False),
-            delta=Bool(False),
-        )
+        ray = Ray3f(dr.fma(across - d, self.radius, self.center), d)
+        weight = weight * math.pi * dr.square(self.radius)
+        return beam(ray, radiance * weight, dr.rcp(math.pi * dr.square(self.radius)), pdf, uv)
 
     def pdf_emission(self, d: Vector3f, n: Normal3f, uv: Point2f, active: Bool | bool = True) -> tuple[Float, Float]:
         direction = self._pdf(self.ray_distribution or self.distribution, -d, active)

@@ -11,13 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.core.numeric import as_array
-from djpt.core.records import DirectionSample3f, EmissionSample, EmitterFlags, Observer, Ray3f, SurfaceInteraction3f
+from djpt.core.records import DirectionSample3f, EmissionSample, EmitterFlags, Observer, Ray3f
 from djpt.core.warp import square_to_uniform_sphere
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import LARGEST, Properties
 from djpt.description.registry import register_emitter
-from djpt.emitters.base import Emitter
-from djpt.emitters.bounds import LightBounds
+from djpt.emitters.base import DeltaEmitter, LightBounds, beam
 from djpt.emitters.extent import mean_of
 from djpt.errors import SceneError
 from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
@@ -25,12 +24,12 @@ from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, UIn
 if TYPE_CHECKING:
     from djpt.description.plugin import Frame
 
-__all__ = ["PointLight", "from_point", "towards_point"]
+__all__ = ["PointLight", "towards_point"]
 
 INV_FOUR_PI = 1 / (4 * math.pi)
 
 
-class PointLight(Emitter):
+class PointLight(DeltaEmitter):
     """Equal intensity in all directions: radiance falls off with 1 / dist^2.
 
     Parameters: `position` (or the translation of `to_world`, default origin), `intensity`
@@ -38,6 +37,7 @@ class PointLight(Emitter):
     """
 
     values: ClassVar[Mapping[str, ParamFlags]] = {"position": ParamFlags.NonDifferentiable}
+    m_flags = int(EmitterFlags.DeltaPosition)
     children = ("intensity",)
 
     def __init__(self, props: Properties) -> None:
@@ -71,44 +71,21 @@ class PointLight(Emitter):
         at = as_array(dr.detach(self.position))
         return LightBounds(at, at, np.array([0.0, 0.0, 1.0]), math.pi, math.pi / 2, self.power())
 
-    def flags(self, active: Bool | bool = True) -> int:
-        return int(EmitterFlags.DeltaPosition)
-
-    def eval(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
-        return Color3f(0)
-
     def sample_direction(
         self, it: Observer, sample: Point2f, active: Bool | bool = True
     ) -> tuple[DirectionSample3f, Color3f]:
         ds, falloff = towards_point(self.position, it.p)
         return ds, self.intensity.eval(ds, active) * falloff
 
-    def pdf_direction(self, it: Observer, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
-        return Float(0)
-
     def sample_emission(
         self, position_sample: Point2f, direction_sample: Point2f, active: Bool | bool = True
     ) -> EmissionSample:
         ray = Ray3f(self.position, square_to_uniform_sphere(direction_sample))
-        return from_point(ray, self.intensity.eval(ray, active) * (4 * math.pi), Point2f(0), Float(INV_FOUR_PI))
+        weight = self.intensity.eval(ray, active) * (4 * math.pi)
+        return beam(ray, weight, Float(1), Float(INV_FOUR_PI), finite=True, delta=True)
 
     def pdf_emission(self, d: Vector3f, n: Normal3f, uv: Point2f, active: Bool | bool = True) -> tuple[Float, Float]:
         return Float(1), Float(INV_FOUR_PI)
-
-
-def from_point(ray: Ray3f, weight: Color3f, uv: Point2f, pdf_direction: Float) -> EmissionSample:
-    """The `EmissionSample` of a light at a point; `uv` is the place in its picture, if it throws one."""
-    return EmissionSample(
-        ray=ray,
-        weight=weight,
-        n=ray.d,
-        uv=uv,
-        cos=Float(1),
-        pdf_position=Float(1),
-        pdf_direction=pdf_direction,
-        finite=Bool(True),
-        delta=Bool(True),
-    )
 
 
 def towards_point(position: Point3f, ref: Point3f) -> tuple[DirectionSample3f, Float]:

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import drjit as dr
 
 from djpt.core.numeric import as_array, non_negative
-from djpt.core.records import DirectionSample3f, EmissionSample, EmitterFlags, Observer, Ray3f, SurfaceInteraction3f
+from djpt.core.records import DirectionSample3f, EmissionSample, EmitterFlags, Observer, Ray3f
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import LARGEST, Properties
 from djpt.description.registry import register_emitter
-from djpt.emitters.bounds import LightBounds
+from djpt.emitters.base import DeltaEmitter, LightBounds, beam
 from djpt.emitters.extent import mean_of, number
 from djpt.emitters.oriented import OnImage, OrientedEmitter
-from djpt.emitters.point import from_point, towards_point
+from djpt.emitters.point import towards_point
 from djpt.jit.frozen import recording
 from djpt.jit.kernels import as_float
 from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, Vector3f
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 __all__ = ["Projector"]
 
 
-class Projector(OrientedEmitter):
+class Projector(DeltaEmitter, OrientedEmitter):
     """The reverse of a pinhole camera: intensity pi scale irradiance(u, v) / cos^3 in the direction of (u, v).
 
     A screen across the local +z axis at distance z is so lit evenly where `irradiance` is constant: it receives
@@ -49,6 +49,7 @@ class Projector(OrientedEmitter):
         # Half width and half height of the image at z = 1.
         **dict.fromkeys(("reach_x", "reach_y"), ParamFlags.NonDifferentiable),
     }
+    m_flags = int(EmitterFlags.DeltaPosition)
     children = ("irradiance",)
 
     def __init__(self, props: Properties) -> None:
@@ -87,9 +88,6 @@ class Projector(OrientedEmitter):
         """Compute the image's extent: a bitmap of another shape keeps the field of view along x."""
         self.reach_x, self.reach_y = as_float(self._reach), as_float(self._reach / self._aspect())
 
-    def flags(self, active: Bool | bool = True) -> int:
-        return int(EmitterFlags.DeltaPosition)
-
     def power(self) -> float:
         area = 4 * number(self.reach_x) * number(self.reach_y)
         return math.pi * area * number(self.scale) * mean_of(self.irradiance)
@@ -100,9 +98,6 @@ class Projector(OrientedEmitter):
         return LightBounds(at, at, axis, 0.0, widest, self.power())
 
     # ---- in kernels --------------------------------------------------------------------
-
-    def eval(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
-        return Color3f(0)
 
     def sample_direction(
         self, it: Observer, sample: Point2f, active: Bool | bool = True
@@ -120,9 +115,6 @@ class Projector(OrientedEmitter):
         lit = ahead & (dr.abs(x) <= 1) & (dr.abs(y) <= 1)
         return Point2f(dr.fma(x, -0.5, 0.5), dr.fma(y, -0.5, 0.5)), inv_z, lit
 
-    def pdf_direction(self, it: Observer, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
-        return Float(0)
-
     def sample_emission(
         self, position_sample: Point2f, direction_sample: Point2f, active: Bool | bool = True
     ) -> EmissionSample:
@@ -137,7 +129,7 @@ class Projector(OrientedEmitter):
         # dw = dA cos^3, on the plane at z = 1.
         length_squared = dr.fma(x, x, dr.fma(y, y, 1))
         pdf_direction = pdf * dr.rcp(area) * (length_squared * dr.sqrt(length_squared))
-        return from_point(Ray3f(self.position, d), weight, uv, pdf_direction)
+        return beam(Ray3f(self.position, d), weight, Float(1), pdf_direction, uv, finite=True, delta=True)
 
     def pdf_emission(self, d: Vector3f, n: Normal3f, uv: Point2f, active: Bool | bool = True) -> tuple[Float, Float]:
         at, inv_z, lit = self._on_image(self.world_to_local(d))

@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import drjit as dr
 
 from djpt.core.numeric import as_array, as_number
-from djpt.core.records import DirectionSample3f, EmissionSample, EmitterFlags, Observer, Ray3f, SurfaceInteraction3f
+from djpt.core.records import DirectionSample3f, EmissionSample, EmitterFlags, Observer, Ray3f
 from djpt.core.warp import square_to_uniform_cone, square_to_uniform_cone_pdf
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import LARGEST, Properties
 from djpt.description.registry import register_emitter
-from djpt.emitters.bounds import LightBounds
+from djpt.emitters.base import DeltaEmitter, LightBounds, beam
 from djpt.emitters.extent import mean_of, number
 from djpt.emitters.oriented import OnImage, OrientedEmitter
-from djpt.emitters.point import from_point, towards_point
+from djpt.emitters.point import towards_point
 from djpt.errors import ParameterError
 from djpt.jit.frozen import recording
 from djpt.jit.kernels import maximum, minimum
@@ -33,7 +33,7 @@ SHARPEST = 1e-6
 """The cone's edge has at least this width, in radians."""
 
 
-class SpotLight(OrientedEmitter):
+class SpotLight(DeltaEmitter, OrientedEmitter):
     """Light from a point into a cone: intensity falls off linearly in the angle theta to the local +z axis:
 
         I(theta) = intensity texture(u, v) clamp((cutoff - theta) / (cutoff - beam), 0, 1),
@@ -49,6 +49,7 @@ class SpotLight(OrientedEmitter):
         **OrientedEmitter.values,
         **dict.fromkeys(("cutoff_angle", "beam_width"), ParamFlags.Differentiable),
     }
+    m_flags = int(EmitterFlags.DeltaPosition)
     children = ("intensity", "texture")
 
     def __init__(self, props: Properties) -> None:
@@ -82,9 +83,6 @@ class SpotLight(OrientedEmitter):
 
     # ---- on the host -------------------------------------------------------------------
 
-    def flags(self, active: Bool | bool = True) -> int:
-        return int(EmitterFlags.DeltaPosition)
-
     def power(self) -> float:
         beam, cutoff = RADIANS * number(self.beam_width), RADIANS * number(self.cutoff_angle)
         # Of the integral of the falloff over the sphere, 2 pi (1 - (sin cutoff - sin beam) / (cutoff - beam)).
@@ -110,17 +108,11 @@ class SpotLight(OrientedEmitter):
         at = OnImage(Point2f(dr.fma(d.x, scale, 0.5), dr.fma(d.y, scale, 0.5)))
         return dr.select(inside, value * self.texture.eval(at, inside & active), 0)
 
-    def eval(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
-        return Color3f(0)
-
     def sample_direction(
         self, it: Observer, sample: Point2f, active: Bool | bool = True
     ) -> tuple[DirectionSample3f, Color3f]:
         ds, falloff = towards_point(self.position, it.p)
         return ds, self.intensity_towards(self.world_to_local(-ds.d), active) * falloff
-
-    def pdf_direction(self, it: Observer, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
-        return Float(0)
 
     def sample_emission(
         self, position_sample: Point2f, direction_sample: Point2f, active: Bool | bool = True
@@ -130,7 +122,8 @@ class SpotLight(OrientedEmitter):
         d = square_to_uniform_cone(position_sample, cos_cutoff)
         solid_angle = 2 * math.pi * (1 - cos_cutoff)
         weight = self.intensity_towards(d, active) * solid_angle
-        return from_point(Ray3f(self.position, self.local_to_world(d)), weight, Point2f(0), dr.rcp(solid_angle))
+        ray = Ray3f(self.position, self.local_to_world(d))
+        return beam(ray, weight, Float(1), dr.rcp(solid_angle), finite=True, delta=True)
 
     def pdf_emission(self, d: Vector3f, n: Normal3f, uv: Point2f, active: Bool | bool = True) -> tuple[Float, Float]:
         return Float(1), square_to_uniform_cone_pdf(self.world_to_local(d), self._cos_cutoff())

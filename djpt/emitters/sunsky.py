@@ -11,15 +11,13 @@ import drjit as dr
 import numpy as np
 
 from djpt.core.numeric import as_array
-from djpt.description.plugin import ParamFlags, TraversalCallback
+from djpt.description.plugin import HIDDEN, ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_emitter
 from djpt.emitters.extent import number
-from djpt.emitters.sky.daylight import HIDDEN, Daylight
+from djpt.emitters.sky.daylight import Daylight, Instant
 from djpt.emitters.sky.directions import SkyDirections
-from djpt.emitters.sky.disc import irradiances
-from djpt.emitters.sky.dome import SkyDome
-from djpt.emitters.sky.instant import Instant
+from djpt.emitters.sky.dome import SkyDome, irradiances
 from djpt.emitters.sky.position import FARTHEST, TimeAndPlace
 from djpt.errors import ParameterError
 from djpt.jit.frozen import recording

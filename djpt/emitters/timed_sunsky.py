@@ -9,13 +9,12 @@ from typing import Any, ClassVar
 import drjit as dr
 
 from djpt.core.records import EmissionSample, Ray3f
-from djpt.description.plugin import ParamFlags, TraversalCallback
+from djpt.description.plugin import HIDDEN, ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_emitter
-from djpt.emitters.sky.daylight import HIDDEN, Daylight
+from djpt.emitters.sky.daylight import Daylight, Instant
 from djpt.emitters.sky.directions import FITTED, SkyDirections
 from djpt.emitters.sky.dome import SkyDome, atmosphere
-from djpt.emitters.sky.instant import Instant
 from djpt.emitters.sky.position import FARTHEST, TimeAndPlace, sun_direction
 from djpt.emitters.sky.tables import entries_between, table
 from djpt.errors import ParameterError, SceneError

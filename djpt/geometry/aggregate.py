@@ -19,16 +19,14 @@ from djpt.core.frame import Frame3f
 from djpt.core.lookup import Numbers, is_one_of
 from djpt.core.records import RAY_EPSILON, PreliminaryIntersection3f, Ray3f
 from djpt.dispatch.ensemble import Ensemble, Lookup
-from djpt.geometry.query import ANALYTIC, FACE, NONE, Cursor, Near, Query
-from djpt.geometry.recentre import recentre
+from djpt.geometry.query import ANALYTIC, FACE, NONE, Cursor, Near, Query, recentre
 from djpt.geometry.unrolled import Unrolled
 from djpt.jit.kernels import as_vector
 from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.shapes.axes import AxisPool
-from djpt.shapes.base import Shape
+from djpt.shapes.base import Shape, Surface
 from djpt.shapes.instance import Instance
 from djpt.shapes.shapegroup import ShapeGroup
-from djpt.shapes.surface import Surface
 
 if TYPE_CHECKING:
     from djpt.geometry.triangles import Triangles

@@ -14,7 +14,7 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.jit.arithmetic import KERNELS, Arithmetic
+from djpt.jit.kernels import KERNELS, Arithmetic
 from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 
 __all__ = ["FLAT_KINDS", "KINDS", "PIECE", "LocalSurface", "hit_kind", "hit_piece", "intersect", "surface"]

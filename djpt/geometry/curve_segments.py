@@ -13,8 +13,8 @@ import numpy as np
 from djpt.core.frame import Frame3f
 from djpt.jit.kernels import float_in, maximum, minimum, own_copy, own_floats
 from djpt.jit.types import Array4f, ArrayXu, Bool, Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.shapes.base import Surface
 from djpt.shapes.curve_segments import CUBIC, ELLIPSOID, LINE, WORDS, CurveSegments
-from djpt.shapes.surface import Surface
 
 __all__ = ["CurveSegmentSet"]
 

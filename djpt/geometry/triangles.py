@@ -19,14 +19,13 @@ from djpt.geometry.bvh.steps.traversal import into_group
 from djpt.geometry.canonical import FLAT_KINDS, PIECE
 from djpt.geometry.canonical import surface as canonical_surface
 from djpt.geometry.curve_segments import CurveSegmentSet
-from djpt.geometry.query import DETAIL, LABEL, NONE, Found, Near, RayTree
-from djpt.geometry.recentre import enter
+from djpt.geometry.query import DETAIL, LABEL, NONE, Found, Near, RayTree, enter
 from djpt.geometry.triangle import RayPlane, intersect_triangle
 from djpt.geometry.two_level_bvh import TwoLevelBVH
 from djpt.jit.kernels import float_in
 from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.shapes.base import Surface
 from djpt.shapes.meshes.mesh_set import MeshSet
-from djpt.shapes.surface import Surface
 
 if TYPE_CHECKING:
     from djpt.shapes.mesh import Mesh

@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import fields, is_dataclass, replace
-from typing import Any, TypeVar
+from types import SimpleNamespace
+from typing import Any, Protocol, TypeVar
 
 import drjit as dr
 import numpy as np
@@ -21,6 +22,8 @@ from djpt.jit.frozen import hold_garbage, recording
 from djpt.jit.types import Bool, Float, UInt32, Vector3f
 
 __all__ = [
+    "KERNELS",
+    "Arithmetic",
     "aligned",
     "aligned_floats",
     "as_float",
@@ -266,3 +269,25 @@ def float_in(word: UInt32) -> Float:
     """The float whose bits a word holds."""
     number: Any = dr.reinterpret_array(Float, word)
     return number
+
+
+class Arithmetic(Protocol):
+    """Functions of numbers: of Dr.Jit's, or of those of `djpt.jit.llvm.arithmetic`.
+
+    A formula that takes its functions from a namespace can be written once: Dr.Jit traces it with `KERNELS`, and
+    `djpt.jit.llvm.arithmetic` has functions of the same names that write IR.
+    """
+
+    fma: Callable[..., Any]
+    rcp: Callable[..., Any]
+    sqrt: Callable[..., Any]
+    abs: Callable[..., Any]
+    select: Callable[..., Any]
+    minimum: Callable[..., Any]
+    maximum: Callable[..., Any]
+
+
+KERNELS: Any = SimpleNamespace(
+    fma=dr.fma, rcp=dr.rcp, sqrt=dr.sqrt, abs=dr.abs, select=dr.select, minimum=minimum, maximum=maximum
+)
+"""The arithmetic of Dr.Jit."""

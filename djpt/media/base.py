@@ -7,13 +7,16 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
 
+from djpt.core.numeric import non_negative
 from djpt.core.records import Ray3f, SurfaceInteraction3f
+from djpt.core.records.flags import PhaseFunctionFlags, has_flag
 from djpt.core.records.interactions import MediumInteraction3f
-from djpt.description.plugin import NotMovable, Plugin, TraversalCallback
+from djpt.description.plugin import NotMovable, ParamFlags, Plugin, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import lookup
 from djpt.dispatch.scripted import accept_scripts
-from djpt.jit.kernels import maximum, minimum
+from djpt.jit.frozen import recording
+from djpt.jit.kernels import as_float, maximum, minimum
 from djpt.jit.types import Bool, Color3f, Float, UInt32
 from djpt.media import tracking
 from djpt.media.flight import Flight, of_channel
@@ -22,7 +25,7 @@ from djpt.samplers.base import SampleStream
 if TYPE_CHECKING:
     from djpt.description.plugin import Frame
 
-__all__ = ["Medium"]
+__all__ = ["MeasuredMedium", "Medium", "as_scale"]
 
 
 class Medium(Plugin):
@@ -225,3 +228,56 @@ CONVERSIONS: dict[str, Callable[[Any], Any]] = {
     "get_scattering_coefficients": lambda found: tuple(Color3f(color) for color in found),
     "intersect_aabb": as_span,
 }
+
+
+class MeasuredMedium(Medium):
+    """A medium whose coefficients are volumes, `sigma_t` and `albedo`, and a factor of the first, `scale`."""
+
+    children = ("albedo", "sigma_t", "emission", "phase")
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        self.albedo = props.volume("albedo", 0.75, low=0.0, high=1.0)
+        self.sigma_t = props.volume("sigma_t", 1.0, low=0.0)
+        self.scale = as_float(props.float("scale", 1.0, low=0.0))
+        self.m_has_spectral_extinction = props.boolean("has_spectral_extinction", True)
+
+    def traverse(self, callback: TraversalCallback) -> None:
+        callback.put("scale", self.scale, ParamFlags.Differentiable)
+        callback.put("albedo", self.albedo)
+        callback.put("sigma_t", self.sigma_t)
+        super().traverse(callback)
+
+    def check_parameter(self, name: str, value: Any) -> Any:
+        return as_scale(value) if name == "scale" else value
+
+    def move_into(self, frame: Frame) -> None:
+        self.move_nested(frame)
+        self.scale = as_scale(self.scale / frame.scale)
+
+    def has_spectral_extinction(self) -> bool:
+        return self.m_has_spectral_extinction and not self.sigma_t.is_grey
+
+    def is_of_flakes(self) -> bool:
+        """True if the extinction depends on the direction."""
+        return bool(has_flag(self.phase.flags(), PhaseFunctionFlags.Microflake))
+
+    def effective(self, density: Color3f, mi: MediumInteraction3f, active: Bool | bool) -> Color3f:
+        """The extinction from the value of `sigma_t`, for light that comes from `mi.wi`."""
+        sigma_t = density * self.scale
+        if self.is_of_flakes():
+            sigma_t = sigma_t * self.phase.projected_area(mi, active)
+        return sigma_t
+
+
+def as_scale(value: Any) -> Float:
+    """Convert an edited `scale`; gradients are kept.
+
+    Raises:
+        SceneError: Not one finite number that is at least 0.
+    """
+    if recording():
+        return Float(value)
+    attached = dr.is_array_v(value) and dr.grad_enabled(value)
+    number = non_negative(dr.detach(value) if attached else value)
+    return Float(value) if attached else dr.opaque(Float, number)

@@ -31,8 +31,8 @@ from djpt.core.records.interactions import MediumInteraction3f
 from djpt.jit.kernels import maximum
 from djpt.jit.types import Bool, Color3f, Float, UInt32
 from djpt.media.flight import FAR
-from djpt.samplers.hashing import sample_tea_32
 from djpt.samplers.independent import IndependentStream
+from djpt.samplers.seeds import sample_tea_32
 
 if TYPE_CHECKING:
     from djpt.media.base import Medium

@@ -9,16 +9,14 @@ import drjit as dr
 import numpy as np
 
 from djpt.core.records import Ray3f
-from djpt.core.records.flags import PhaseFunctionFlags, has_flag
 from djpt.core.records.interactions import MediumInteraction3f
-from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
+from djpt.description.plugin import HIDDEN, ParamFlags, Plugin
 from djpt.description.properties import Properties
 from djpt.description.registry import register_medium
 from djpt.dispatch.tables import entry_at
 from djpt.jit.kernels import as_float, as_vector, maximum, minimum
 from djpt.jit.types import Bool, Color3f, Float, TensorXf, UInt32, Vector3f
-from djpt.media.base import Medium
-from djpt.media.scaling import as_scale
+from djpt.media.base import MeasuredMedium
 from djpt.media.tracking import Majorants
 
 if TYPE_CHECKING:
@@ -32,10 +30,8 @@ POINTS, MOST = 8, 16
 AHEAD = 4e-5
 """The share of a cell by which a place is moved on, so that one on a border belongs to the cell that the ray enters."""
 
-HIDDEN = ParamFlags.NonDifferentiable
 
-
-class Heterogeneous(Medium):
+class Heterogeneous(MeasuredMedium):
     """Smoke: sigma_t varies in space, within the box of its volume; there is nothing outside it.
 
     Distances are sampled by delta tracking, the transmittance of shadow rays is estimated by ratio tracking: see
@@ -53,15 +49,10 @@ class Heterogeneous(Medium):
         **dict.fromkeys(("low", "high", "cell_x", "cell_y", "cell_z", "cell_origin", "counts", "largest"), HIDDEN),
     }
     tables: ClassVar[Mapping[str, ParamFlags]] = {"maxima": HIDDEN}
-    children = ("albedo", "sigma_t", "emission", "phase")
     statics: ClassVar[Sequence[str]] = ("m_sample_emitters", "m_has_spectral_extinction", "has_cells")
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
-        self.albedo = props.volume("albedo", 0.75, low=0.0, high=1.0)
-        self.sigma_t = props.volume("sigma_t", 1.0, low=0.0)
-        self.scale = as_float(props.float("scale", 1.0, low=0.0))
-        self.m_has_spectral_extinction = props.boolean("has_spectral_extinction", True)
         self.has_cells: bool
         self.maxima: Any
         self._place()
@@ -86,32 +77,15 @@ class Heterogeneous(Medium):
         self.cell_x, self.cell_y, self.cell_z = (as_vector(row[:3]) for row in matrix)
         self.cell_origin = as_vector(matrix[:, 3])
 
-    def traverse(self, callback: TraversalCallback) -> None:
-        callback.put("scale", self.scale, ParamFlags.Differentiable)
-        callback.put("albedo", self.albedo)
-        callback.put("sigma_t", self.sigma_t)
-        super().traverse(callback)
-
-    def check_parameter(self, name: str, value: Any) -> Any:
-        return as_scale(value) if name == "scale" else value
-
     def parameters_changed(self, keys: Sequence[str]) -> None:
         self._place()
 
     def of_extinction(self) -> Sequence[Plugin]:
-        return [self, self.sigma_t, self.phase] if self._is_of_flakes() else [self, self.sigma_t]
+        return [self, self.sigma_t, self.phase] if self.is_of_flakes() else [self, self.sigma_t]
 
     def move_into(self, frame: Frame) -> None:
-        self.move_nested(frame)
-        self.scale = as_scale(self.scale / frame.scale)
+        super().move_into(frame)
         self._place()
-
-    def _is_of_flakes(self) -> bool:
-        """True if the extinction depends on the direction."""
-        return bool(has_flag(self.phase.flags(), PhaseFunctionFlags.Microflake))
-
-    def has_spectral_extinction(self) -> bool:
-        return self.m_has_spectral_extinction and not self.sigma_t.is_grey
 
     # ---- coefficients ------------------------------------------------------------------
 
@@ -131,23 +105,16 @@ class Heterogeneous(Medium):
         mint, maxt = dr.max(near), dr.min(far)
         return (mint <= maxt) & (maxt > 0), mint, maxt
 
-    def _effective(self, density: Color3f, mi: MediumInteraction3f, active: Bool | bool) -> Color3f:
-        """The extinction from the volume's value, for light that comes from `mi.wi`."""
-        sigma_t = density * self.scale
-        if self._is_of_flakes():
-            sigma_t = sigma_t * self.phase.projected_area(mi, active)
-        return sigma_t
-
     # ---- tracking ------------------------------------------------------------------------
 
     def extinction(self, mi: MediumInteraction3f, active: Bool | bool = True) -> Color3f:
-        return self._effective(self.sigma_t.eval(mi, active), mi, active)
+        return self.effective(self.sigma_t.eval(mi, active), mi, active)
 
     def extinction_at(self, mi: MediumInteraction3f, u: Float, active: Bool | bool = True) -> Color3f:
         # Single numbers of a coloured grid would make the weights of the channels noisy.
         if self.has_spectral_extinction():
             return self.extinction(mi, active)
-        return self._effective(self.sigma_t.pick(mi, u, active), mi, active)
+        return self.effective(self.sigma_t.pick(mi, u, active), mi, active)
 
     def albedo_at(self, mi: MediumInteraction3f, active: Bool | bool = True) -> Color3f:
         return self.albedo.eval(mi, active)

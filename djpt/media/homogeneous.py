@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import drjit as dr
 
 from djpt.core.records import Ray3f
-from djpt.core.records.flags import PhaseFunctionFlags, has_flag
 from djpt.core.records.interactions import MediumInteraction3f
-from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
+from djpt.description.plugin import ParamFlags, Plugin
 from djpt.description.properties import Properties
 from djpt.description.registry import register_medium
 from djpt.errors import SceneError
-from djpt.jit.kernels import as_float, maximum, minimum
+from djpt.jit.kernels import maximum, minimum
 from djpt.jit.types import Bool, Color3f, Float, UInt32
-from djpt.media.base import Medium
+from djpt.media.base import MeasuredMedium
 from djpt.media.flight import FAR, Flight, of_channel
-from djpt.media.scaling import as_scale
 from djpt.samplers.base import SampleStream
 
 if TYPE_CHECKING:
@@ -33,7 +31,7 @@ DENSEST = 1e18
 """Denser matter counts as this: light gets no further, and squares and inverses stay finite."""
 
 
-class Homogeneous(Medium):
+class Homogeneous(MeasuredMedium):
     """Fog: sigma_t is the same everywhere, and the transmittance is exp(-sigma_t t).
 
     Distances are sampled by t = -log(1 - u) / sigma_t, with the sigma_t of one channel: that of the path, or one that
@@ -46,49 +44,28 @@ class Homogeneous(Medium):
     """
 
     values: ClassVar[Mapping[str, ParamFlags]] = {"scale": ParamFlags.Differentiable}
-    children = ("albedo", "sigma_t", "emission", "phase")
     statics: ClassVar[Sequence[str]] = ("m_sample_emitters", "m_has_spectral_extinction")
     m_is_homogeneous = True
     is_tracked = False
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
-        self.albedo = props.volume("albedo", 0.75, low=0.0, high=1.0)
-        self.sigma_t = props.volume("sigma_t", 1.0, low=0.0)
-        self.scale = as_float(props.float("scale", 1.0, low=0.0))
-        self.m_has_spectral_extinction = props.boolean("has_spectral_extinction", True)
         if not self.sigma_t.is_constant:
             raise SceneError(f"{props.node}: 'sigma_t' must be the same everywhere; a 'heterogeneous' medium varies")
         if self.emission is not None and not self.emission.is_constant:
             raise SceneError(f"{props.node}: 'emission' must be the same everywhere; a 'heterogeneous' medium varies")
 
-    def traverse(self, callback: TraversalCallback) -> None:
-        callback.put("scale", self.scale, ParamFlags.Differentiable)
-        callback.put("albedo", self.albedo)
-        callback.put("sigma_t", self.sigma_t)
-        super().traverse(callback)
-
-    def check_parameter(self, name: str, value: Any) -> Any:
-        return as_scale(value) if name == "scale" else value
-
     def move_into(self, frame: Frame) -> None:
-        self.move_nested(frame)
-        self.scale = as_scale(self.scale / frame.scale)
+        super().move_into(frame)
 
     def of_extinction(self) -> Sequence[Plugin]:
         return []
-
-    def has_spectral_extinction(self) -> bool:
-        return self.m_has_spectral_extinction and not self.sigma_t.is_grey
 
     # ---- coefficients ------------------------------------------------------------------
 
     def extinction(self, mi: MediumInteraction3f, active: Bool | bool = True) -> Color3f:
         """sigma_t, for light that comes from `mi.wi`."""
-        sigma_t = self.sigma_t.eval(mi, active) * self.scale
-        if has_flag(self.phase.flags(), PhaseFunctionFlags.Microflake):
-            sigma_t = sigma_t * self.phase.projected_area(mi, active)
-        return dr.minimum(sigma_t, DENSEST)
+        return dr.minimum(self.effective(self.sigma_t.eval(mi, active), mi, active), DENSEST)
 
     def get_majorant(self, mi: MediumInteraction3f, active: Bool | bool = True) -> Color3f:
         return dr.select(active, self.extinction(mi, active), 0)

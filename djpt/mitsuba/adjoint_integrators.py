@@ -12,8 +12,7 @@ from djpt.films.image_block import ImageBlock
 from djpt.integrators.base import Integrator
 from djpt.jit.types import TensorXf
 from djpt.samplers.base import Sampler
-from djpt.scene.arguments import find_sensor
-from djpt.scene.scene import Scene
+from djpt.scene.scene import Scene, find_sensor
 from djpt.sensors.base import Sensor
 
 __all__ = ["AdjointIntegrator"]

@@ -21,7 +21,7 @@ from djpt.errors import ArgumentError, DjptError
 from djpt.jit.types import PCG32, Bool, Float, Point2f, UInt32, UInt64, Vector2f, Vector3f, backend
 from djpt.mitsuba.fresnel import MicrofacetDistribution
 from djpt.mitsuba.math import chi2, rlgamma
-from djpt.samplers.hashing import sample_tea_32
+from djpt.samplers.seeds import sample_tea_32
 
 __all__ = [
     "BSDFAdapter",

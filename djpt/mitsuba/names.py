@@ -75,7 +75,7 @@ EXPORTS: dict[str, str] = {
     "djpt.integrators.paths.unidirectional": "MonteCarloIntegrator",
     "djpt.media.base": "Medium",
     "djpt.phase.base": "PhaseFunction",
-    "djpt.phase.microflakes": "SGGXPhaseFunctionParams sggx_pdf sggx_projected_area sggx_sample",
+    "djpt.phase.sggx": "SGGXPhaseFunctionParams sggx_pdf sggx_projected_area sggx_sample",
     "djpt.core.records.flags": "DiscontinuityFlags PhaseFunctionContext PhaseFunctionFlags",
     "djpt.core.records.interactions": "MediumInteraction3f",
     "djpt.rfilters.base": "ReconstructionFilter",

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from djpt.errors import ArgumentError
 from djpt.jit.kernels import float_in, while_loop
 from djpt.jit.types import PCG32, Bool, Float, Float64, UInt32, UInt64, backend, converting
-from djpt.samplers import hashing, ldsampler, permutation
+from djpt.samplers import ldsampler, seeds
 
 __all__ = [
     "PCG32",
@@ -40,28 +40,28 @@ BELOW_ONE = 1 - 2.0**-24
 
 
 def sample_tea_32(v0: Any, v1: Any, rounds: int = 4) -> tuple[Any, Any]:
-    """Two 32-bit hashes of two 32-bit words: see `djpt.samplers.hashing`. Of two Python integers they are such, too."""
-    hashes = hashing.sample_tea_32(UInt32(v0), UInt32(v1), rounds)
+    """Two 32-bit hashes of two 32-bit words: see `djpt.samplers.seeds`. Of two Python integers they are such, too."""
+    hashes = seeds.sample_tea_32(UInt32(v0), UInt32(v1), rounds)
     return (hashes[0][0], hashes[1][0]) if are_integers(v0, v1) else hashes
 
 
 def sample_tea_64(v0: Any, v1: Any, rounds: int = 4) -> Any:
     """Both hashes of `sample_tea_32` as one 64-bit integer; the second one is its upper half."""
-    low, high = hashing.sample_tea_32(UInt32(v0), UInt32(v1), rounds)
+    low, high = seeds.sample_tea_32(UInt32(v0), UInt32(v1), rounds)
     word = UInt64(low) + (UInt64(high) << 32)
     return word[0] if are_integers(v0, v1) else word
 
 
 def sample_tea_float32(v0: Any, v1: Any, rounds: int = 4) -> Any:
     """A number in [0, 1) from the upper 23 bits of the second hash of `sample_tea_32`."""
-    _, word = hashing.sample_tea_32(UInt32(v0), UInt32(v1), rounds)
+    _, word = seeds.sample_tea_32(UInt32(v0), UInt32(v1), rounds)
     number = float_in((word >> 9) | 0x3F800000) - 1
     return number[0] if are_integers(v0, v1) else number
 
 
 def sample_tea_float64(v0: Any, v1: Any, rounds: int = 4) -> Any:
     """A number in [0, 1) in double precision, from the upper 52 bits of `sample_tea_64`."""
-    low, high = hashing.sample_tea_32(UInt32(v0), UInt32(v1), rounds)
+    low, high = seeds.sample_tea_32(UInt32(v0), UInt32(v1), rounds)
     word = UInt64(low) + (UInt64(high) << 32)
     doubles: Any = dr.reinterpret_array(Float64, (word >> 12) | 0x3FF0000000000000)
     number = doubles - 1
@@ -92,11 +92,11 @@ def permute(value: UInt32, size: int, seed: UInt32, rounds: int = 4) -> UInt32:
 
 @converting
 def permute_kensler(i: UInt32, l: int, p: UInt32, active: Bool | bool = True) -> UInt32:  # noqa: E741
-    """The image of `i` under the permutation number `p` of [0, l), by A. Kensler, see `djpt.samplers.permutation`."""
+    """The image of `i` under the permutation number `p` of [0, l), by A. Kensler, see `djpt.samplers.seeds`."""
     if l == 1:
         return dr.zeros(UInt32, dr.width(i))
     # Lane-wide, as loops ask for.
-    return permutation.permute_kensler(i | (p & 0), UInt32(l), p)
+    return seeds.permute_kensler(i | (p & 0), UInt32(l), p)
 
 
 @converting

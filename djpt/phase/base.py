@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import functools
+import math
 import operator
 from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
+
+import drjit as dr
 
 from djpt.core.records import PhaseFunctionContext, PhaseFunctionFlags
 from djpt.core.records.interactions import MediumInteraction3f
@@ -13,7 +16,7 @@ from djpt.description.plugin import Plugin
 from djpt.dispatch.scripted import accept_scripts
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Vector3f
 
-__all__ = ["PhaseFunction"]
+__all__ = ["PhaseFunction", "around"]
 
 
 class PhaseFunction(Plugin):
@@ -101,3 +104,10 @@ CONVERSIONS: dict[str, Callable[[Any], Any]] = {
     "projected_area": Float,
     "max_projected_area": Float,
 }
+
+
+def around(mi: MediumInteraction3f, cosine: Float, turn: Float) -> Vector3f:
+    """The world direction whose cosine with `mi.wi` is `cosine`, turned about `mi.wi` by `turn` in [0, 1)."""
+    sine = dr.safe_sqrt(dr.fma(-cosine, cosine, 1))
+    sin_phi, cos_phi = dr.sincos(2 * math.pi * turn)
+    return mi.to_world(Vector3f(sine * cos_phi, sine * sin_phi, cosine))

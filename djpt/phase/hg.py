@@ -18,8 +18,7 @@ from djpt.errors import ParameterError, SceneError
 from djpt.jit.frozen import recording
 from djpt.jit.kernels import as_float
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Vector3f
-from djpt.phase.base import PhaseFunction
-from djpt.phase.directions import around
+from djpt.phase.base import PhaseFunction, around
 
 __all__ = ["HGPhaseFunction"]
 

@@ -9,7 +9,6 @@ from typing import ClassVar
 from djpt.core.records import PhaseFunctionContext, PhaseFunctionFlags
 from djpt.core.records.interactions import MediumInteraction3f
 from djpt.core.warp import square_to_uniform_sphere
-from djpt.description.properties import Properties
 from djpt.description.registry import register_phase
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Vector3f
 from djpt.phase.base import PhaseFunction
@@ -25,9 +24,6 @@ class IsotropicPhaseFunction(PhaseFunction):
     in_any_frame = True
     m_flags = int(PhaseFunctionFlags.Isotropic)
     statics: ClassVar[Sequence[str]] = ()
-
-    def __init__(self, props: Properties) -> None:
-        super().__init__(props)
 
     def sample(
         self,

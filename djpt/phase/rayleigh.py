@@ -10,11 +10,9 @@ import drjit as dr
 
 from djpt.core.records import PhaseFunctionContext, PhaseFunctionFlags
 from djpt.core.records.interactions import MediumInteraction3f
-from djpt.description.properties import Properties
 from djpt.description.registry import register_phase
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Vector3f
-from djpt.phase.base import PhaseFunction
-from djpt.phase.directions import around
+from djpt.phase.base import PhaseFunction, around
 
 __all__ = ["RayleighPhaseFunction"]
 
@@ -29,9 +27,6 @@ class RayleighPhaseFunction(PhaseFunction):
     in_any_frame = True
     m_flags = int(PhaseFunctionFlags.Anisotropic)
     statics: ClassVar[Sequence[str]] = ()
-
-    def __init__(self, props: Properties) -> None:
-        super().__init__(props)
 
     def sample(
         self,

@@ -12,7 +12,7 @@ import numpy as np
 from djpt.core.numeric import as_array, describe, numbers_in
 from djpt.core.records import PhaseFunctionContext, PhaseFunctionFlags
 from djpt.core.records.interactions import MediumInteraction3f
-from djpt.description.plugin import ParamFlags, TraversalCallback
+from djpt.description.plugin import HIDDEN, ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_phase
 from djpt.dispatch.tables import entry_at
@@ -20,12 +20,9 @@ from djpt.errors import ParameterError, SceneError
 from djpt.jit.frozen import recording
 from djpt.jit.kernels import as_float, own_floats
 from djpt.jit.types import Bool, Color3f, Float, Point2f, TensorXf, UInt32, Vector3f
-from djpt.phase.base import PhaseFunction
-from djpt.phase.directions import around
+from djpt.phase.base import PhaseFunction, around
 
 __all__ = ["TabulatedPhaseFunction"]
-
-HIDDEN = ParamFlags.NonDifferentiable
 
 
 class TabulatedPhaseFunction(PhaseFunction):

@@ -13,15 +13,14 @@ from djpt.rendering.gradients.leaves import attached_parameters, prepare_tables,
 from djpt.rendering.gradients.unproven import require_proven
 from djpt.rendering.schedules.base import Schedule
 from djpt.rendering.schedules.called_sums import prepare_sums
-from djpt.rendering.schedules.canvas import picture
 from djpt.rendering.schedules.choice import choose
 from djpt.rendering.schedules.job import Job, image_channels
 from djpt.rendering.schedules.memory import check_memory
+from djpt.rendering.schedules.reconstruction import picture
 from djpt.rendering.settings import RenderSettings, find_integrator
 from djpt.samplers import Sampler
-from djpt.scene.arguments import find_sensor, require_scene
 from djpt.scene.normalization.normalized_scene import normalized, normalized_scene
-from djpt.scene.scene import Scene
+from djpt.scene.scene import Scene, find_sensor, require_scene
 
 __all__ = [
     "centres",

@@ -18,8 +18,7 @@ from djpt.jit.types import UInt32
 from djpt.rendering.progress import Progress
 from djpt.rendering.schedules.job import MAX_SAMPLES
 from djpt.samplers.seeds import Seed, gradient_seed
-from djpt.scene.arguments import find_sensor, require_scene
-from djpt.scene.scene import Scene
+from djpt.scene.scene import Scene, find_sensor, require_scene
 from djpt.sensors.base import Sensor
 
 __all__ = ["RenderSettings", "check_count", "check_seed", "find_integrator"]
@@ -68,18 +67,9 @@ class RenderSettings:
         seed_grad: Any = 0,
         spp_grad: Any = 0,
     ) -> RenderSettings:
-        """Check the arguments of a verb for a scene.
+        """Check the arguments of a verb for a scene, which become the attributes of the same names.
 
-        Args:
-            scene: What `load_dict` returned.
-            sensor: Index into ``scene.sensors()``, or a sensor.
-            integrator: An integrator; None takes the scene's, or else `path`.
-            seed: See the attribute, as for all that follow.
-            spp: Samples per pixel.
-            schedule: How lanes are filled.
-            pass_spp: Samples per pixel of one pass.
-            seed_grad: The seed of the gradient's samples.
-            spp_grad: Samples per pixel for the gradient.
+        `sensor` is an index into ``scene.sensors()``, or a sensor; the default `integrator` is the scene's, or `path`.
 
         Raises:
             RenderError: An argument is of a wrong type or out of range.

@@ -6,7 +6,7 @@ import math
 from typing import Any, ClassVar
 
 from djpt.description.plugin import Plugin
-from djpt.jit.arithmetic import KERNELS, Arithmetic
+from djpt.jit.kernels import KERNELS, Arithmetic
 from djpt.jit.types import Bool, Float
 
 __all__ = ["ReconstructionFilter", "is_wide", "tap_centers"]

@@ -7,7 +7,7 @@ from typing import Any
 
 from djpt.description.properties import Properties
 from djpt.description.registry import register_rfilter
-from djpt.jit.arithmetic import Arithmetic
+from djpt.jit.kernels import Arithmetic
 from djpt.rfilters.base import ReconstructionFilter
 
 __all__ = ["Gaussian"]

@@ -11,7 +11,7 @@ from djpt.description.registry import register_sampler
 from djpt.jit.kernels import float_in
 from djpt.jit.types import PCG32, Bool, Float, Point2f, UInt32, UInt64
 from djpt.samplers.base import SampleIndex, Sampler
-from djpt.samplers.hashing import sample_tea_32
+from djpt.samplers.seeds import sample_tea_32
 
 __all__ = ["Independent", "IndependentStream", "copy_of", "generator"]
 

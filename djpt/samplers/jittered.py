@@ -11,9 +11,8 @@ from djpt.description.properties import Properties
 from djpt.jit.kernels import minimum
 from djpt.jit.types import PCG32, Bool, Float, UInt32
 from djpt.samplers.base import SampleIndex, Sampler
-from djpt.samplers.hashing import sample_tea_32
 from djpt.samplers.independent import copy_of, generator
-from djpt.samplers.permutation import quotient
+from djpt.samplers.seeds import quotient, sample_tea_32
 
 __all__ = ["JitteredSampler", "JitteredStream", "PointSet", "PointSets", "below_one"]
 

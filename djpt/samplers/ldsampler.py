@@ -10,8 +10,8 @@ from djpt.description.registry import register_sampler
 from djpt.jit.kernels import while_loop
 from djpt.jit.types import Bool, Float, Point2f, UInt32
 from djpt.samplers.base import SampleIndex
-from djpt.samplers.hashing import sample_tea_32
 from djpt.samplers.jittered import PointSets, below_one
+from djpt.samplers.seeds import sample_tea_32
 from djpt.samplers.sobol import pascal
 
 __all__ = ["LDSampler", "LDStream"]

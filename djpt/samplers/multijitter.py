@@ -11,7 +11,7 @@ from djpt.description.registry import register_sampler
 from djpt.jit.types import Bool, Float, Float64, Point2f, UInt32
 from djpt.samplers.base import SampleIndex
 from djpt.samplers.jittered import JitteredSampler, JitteredStream, below_one
-from djpt.samplers.permutation import permute_kensler, quotient
+from djpt.samplers.seeds import permute_kensler, quotient
 
 __all__ = ["Multijitter", "MultijitterStream"]
 

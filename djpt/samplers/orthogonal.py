@@ -13,7 +13,7 @@ from djpt.description.registry import register_sampler
 from djpt.jit.types import Bool, Float, Float64, Point2f, UInt32
 from djpt.samplers.base import SampleIndex
 from djpt.samplers.jittered import JitteredSampler, JitteredStream, below_one
-from djpt.samplers.permutation import permute_kensler, quotient, remainder
+from djpt.samplers.seeds import permute_kensler, quotient, remainder
 
 __all__ = ["Orthogonal", "OrthogonalStream"]
 

@@ -10,8 +10,7 @@ from djpt.description.properties import Properties
 from djpt.description.registry import register_sampler
 from djpt.jit.types import Bool, Float, Point2f, UInt32
 from djpt.samplers.base import SampleIndex, Sampler
-from djpt.samplers.hashing import sample_tea_32
-from djpt.samplers.permutation import quotient
+from djpt.samplers.seeds import quotient, sample_tea_32
 
 __all__ = ["Sobol", "SobolStream", "morton", "nested_shuffle", "pascal"]
 

@@ -3,34 +3,118 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterable, Sequence
 from typing import Any, Protocol
 
 import numpy as np
 
+from djpt.core.numeric import whole
 from djpt.core.records import EmitterFlags, has_flag
 from djpt.core.records.record import note_latest
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Merging, Properties
+from djpt.description.registry import registered
 from djpt.dispatch.ensemble import Detached, Lookup
 from djpt.emitters import Emitter
-from djpt.errors import RenderError, SceneError
-from djpt.geometry.aggregate import Geometry
+from djpt.errors import RenderError, SceneError, near_miss
+from djpt.geometry.aggregate import Geometry, unseen
 from djpt.jit.frozen import recording, require_editable
 from djpt.jit.kernels import may_wait
 from djpt.jit.types import Float, Point3f, TensorXf, UInt32
-from djpt.scene.bsdfs import BSDFs
-from djpt.scene.lights import Lights
+from djpt.materials import BSDF, Diffuse
+from djpt.scene.lights import BSDFs, Lights
 from djpt.scene.media_placement import Media, absorbing_sides, all_sides
 from djpt.scene.mitsuba_api import MitsubaScene
-from djpt.scene.nesting import black, collect_emitters, collect_sensors, numbers
 from djpt.scene.silhouettes import Silhouettes
 from djpt.sensors import Sensor
 from djpt.shapes import Shape
 from djpt.shapes.numbering import merged_last
 from djpt.textures.uses import check_textures
 
-__all__ = ["Renderer", "Scene"]
+__all__ = ["Renderer", "Scene", "find_sensor", "require_scene"]
+
+
+def collect_emitters(plugins: Iterable[Plugin]) -> list[Emitter]:
+    """The emitters of a scene's `plugins`, in their order.
+
+    A shape's emitter is numbered where the shape stands, whether it is nested there or the shape refers to an area
+    light that stands in the scene: the latter by itself doesn't count. Emitters of shapes learn their `shape`. A
+    warning tells of area lights that no shape refers to.
+
+    Raises:
+        SceneError: A shape's emitter can't be nested, or belongs to two shapes; or a shape that emits light stands in
+            the scene twice.
+    """
+    found: list[Emitter] = []
+    of_shapes: list[Emitter] = []
+    for plugin in plugins:
+        if isinstance(plugin, Shape) and plugin.emitter() is not None:
+            adopt(plugin, plugin.emitter())
+            if plugin.emitter() in found:
+                raise SceneError(f"{plugin.id()}: a shape that emits light can't appear in the scene twice")
+            found.append(plugin.emitter())
+        elif isinstance(plugin, Emitter):
+            (of_shapes if plugin.on_shape else found).append(plugin)
+    for emitter in of_shapes:
+        if emitter.shape is None:
+            warnings.warn(f"{emitter.id()}: no shape refers to this emitter, so it emits no light", stacklevel=2)
+    return found
+
+
+def collect_sensors(plugins: Iterable[Plugin]) -> list[Sensor]:
+    """The sensors of a scene's `plugins`, in their order.
+
+    Those of shapes learn their `shape`. One that stands in the scene, and that a shape refers to, has two numbers.
+
+    Raises:
+        SceneError: A shape's sensor can't be nested, or belongs to two shapes.
+    """
+    found: list[Sensor] = []
+    for plugin in plugins:
+        if isinstance(plugin, Shape) and plugin.sensor() is not None:
+            found.append(adopt(plugin, plugin.sensor()))
+        elif isinstance(plugin, Sensor):
+            found.append(plugin)
+    return found
+
+
+def adopt(shape: Shape, nested: Any) -> Any:
+    """An emitter or sensor that a shape has, nested or by reference, told which shape that is."""
+    if not nested.on_shape:
+        fitting = (name for name, plugin in registered(nested.kind).items() if getattr(plugin, "on_shape", False))
+        hint = near_miss("", fitting)
+        raise SceneError(f"{shape.id()}: the {nested.kind} '{nested.id()}' can't be nested in a shape{hint}")
+    if nested.shape not in (None, shape):
+        raise SceneError(f"{shape.id()}: its {nested.kind} already belongs to '{nested.shape.id()}'")
+    nested.shape = shape
+    return nested
+
+
+def numbers(shapes: Iterable[Shape], emitters: Sequence[Emitter]) -> tuple[list[BSDF], list[int], list[int]]:
+    """The BSDFs of shapes, each once; per shape the number of its BSDF, and that of its emitter.
+
+    The number of emitters stands for none.
+    """
+    bsdfs: list[BSDF] = []
+    bsdf_of_shape: list[int] = []
+    emitter_of_shape: list[int] = []
+    for shape in shapes:
+        if unseen(shape):
+            bsdf_of_shape.append(0)
+            emitter_of_shape.append(len(emitters))
+            continue
+        bsdf = shape.bsdf()
+        if bsdf not in bsdfs:
+            bsdfs.append(bsdf)
+        bsdf_of_shape.append(bsdfs.index(bsdf))
+        emitter_of_shape.append(len(emitters) if shape.emitter() is None else emitters.index(shape.emitter()))
+    return bsdfs, bsdf_of_shape, emitter_of_shape
+
+
+def black(name: str) -> BSDF:
+    """A surface that reflects nothing."""
+    return Diffuse(Properties("diffuse", name, {"reflectance": 0.0}))
 
 
 WITHOUT_EFFECT = ("allow_thread_reordering", "compact_acceleration_structures", "embree_use_robust_intersections")
@@ -270,3 +354,31 @@ KINDS = (
     *("medium", "phase", "volume"),
 )
 """The kinds of plugins that may stand at the top level of a scene: as its parts, or for others to refer to."""
+
+
+def require_scene(scene: Any) -> Scene:
+    """The scene itself; raises `RenderError` if it isn't one."""
+    if not isinstance(scene, Scene):
+        raise RenderError(f"render() expects a scene from load_dict(), found {type(scene).__name__}")
+    return scene
+
+
+def find_sensor(scene: Scene, sensor: Any) -> Sensor:
+    """The sensor to render: one of the scene, by number, or another one, which is told how large the scene is."""
+    require_scene(scene)
+    sensors = scene.sensors()
+    if not isinstance(sensor, Sensor):
+        number = whole(sensor)
+        if number is None:
+            raise RenderError(f"'sensor' must be an index or a sensor, found {type(sensor).__name__}")
+        if not sensors:
+            raise RenderError("the scene has no sensor: add one, for example {'type': 'perspective'}")
+        if not 0 <= number < len(sensors):
+            raise RenderError(f"there is no sensor {number}: the scene has {len(sensors)}, numbered from 0")
+        sensor = sensors[number]
+    found: Sensor = sensor
+    if found.on_shape and found.shape is None:
+        raise RenderError(f"'{found.id()}' must be nested in a shape of the scene to be rendered")
+    if found not in sensors:
+        found.set_bounds(*scene.bounding_sphere())
+    return found

@@ -11,7 +11,7 @@ import drjit as dr
 from djpt.core.records import DiscontinuityFlags
 from djpt.dispatch.ensemble import Ensemble, Lookup
 from djpt.dispatch.family import Family
-from djpt.distributions.weights import Weights
+from djpt.distributions.discrete import Weights
 from djpt.jit.types import Bool, Float, Point3f, UInt32
 from djpt.shapes import Shape
 from djpt.shapes.pointer import ShapePtr

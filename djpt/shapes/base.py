@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from djpt.core.frame import Frame3f
 from djpt.core.numeric import non_negative
 from djpt.core.records import DirectionSample3f, PositionSample3f
-from djpt.core.transforms import as_transform
+from djpt.core.transforms import ScalarTransform4f, as_transform
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
-from djpt.errors import ParameterError
+from djpt.errors import ParameterError, SceneError
 from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.shapes.axes import AxisPool, ProjectedRay, SignedAxis
 from djpt.shapes.mitsuba_api import ShapeQuestions
@@ -24,7 +24,22 @@ from djpt.shapes.mitsuba_api import ShapeQuestions
 if TYPE_CHECKING:
     from djpt.description.plugin import Frame
 
-__all__ = ["Face", "Hit", "Shape", "towards"]
+__all__ = ["Face", "Hit", "Shape", "Surface", "towards"]
+
+
+@dataclass
+class Surface:
+    """A point on a surface."""
+
+    p: Point3f
+    n: Vector3f
+    """Geometric normal."""
+    sh_frame: Frame3f
+    uv: Point2f
+    dp_du: Vector3f
+    dp_dv: Vector3f
+    prim_uv: Point2f
+    """Barycentric weights of a triangle's second and third corner; 0 on other shapes."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +138,22 @@ class Shape(ShapeQuestions):
             return self.attached_parameter(name, value)
         if name == "silhouette_sampling_weight":
             return non_negative(value)
-        return as_transform(value) if name == "to_world" else value
+        if name != "to_world":
+            return value
+        transform = as_transform(value)
+        if problem := self.misfit(transform.matrix):
+            raise ParameterError(f"{self.id()}.to_world: {problem}")
+        return transform
+
+    def misfit(self, matrix: NDArray[np.float64]) -> str | None:
+        """Why the shape can't be mapped by a matrix; None if it can."""
+        return None
+
+    def stretch(self, local: ScalarTransform4f, node: str) -> None:
+        """Append `local` to the `to_world` of the description: it is applied first."""
+        self.to_world = self.to_world @ local
+        if problem := self.misfit(self.to_world.matrix):
+            raise SceneError(f"{node}: {problem}")
 
     def attached_parameter(self, name: str, value: Any) -> Any:
         """The form in which a parameter with gradients is kept.

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.core.records import PositionSample3f
-from djpt.description.plugin import ParamFlags
+from djpt.description.plugin import HIDDEN
 from djpt.description.properties import Properties
 from djpt.description.registry import register_shape
 from djpt.jit.kernels import as_float
@@ -20,8 +20,6 @@ from djpt.shapes.base import Hit
 from djpt.shapes.revolution import Revolution, along
 
 __all__ = ["Cone"]
-
-HIDDEN = ParamFlags.NonDifferentiable
 
 
 class Cone(Revolution):
@@ -85,7 +83,7 @@ class Cone(Revolution):
         """Solve z^2 - cos^2 |p|^2 = 0 with p relative to the apex, from the point q of the ray closest to the apex.
 
         There q . d = 0, so with m = q x d the discriminant is cos^2 (sin^2 |m|^2 - m_z^2), which doesn't cancel far
-        from the cone, and of the two roots the one without cancellation gives the other: their product is known.
+        from the cone.
         """
         o, d, o_z, d_z = self.split(ray, self.apex_place)
         length_squared = dr.fma(d_z, d_z, dr.squared_norm(d))
@@ -99,19 +97,13 @@ class Cone(Revolution):
         moment = self._moment_along(q, d)
         discriminant = dr.fma(self.sin_squared, distance_squared * length_squared, -dr.square(moment))
         root = self.cos * dr.sqrt(dr.select(discriminant > 0, discriminant, 0))
-        sum_ = -(b + dr.mulsign(root, b))
-        t1, t2 = sum_ * dr.rcp(a) + shift, c * dr.rcp(sum_) + shift
-        near, far = dr.select(t1 < t2, t1, t2), dr.select(t1 < t2, t2, t1)
-        on_near = (near > 0) & self._within(dr.fma(d_z, near, o_z))
-        t = dr.select(on_near, near, far)
-        inside = self._within(dr.fma(d_z, t, o_z))
+        t, inside = self.first_root(a, b, c, root, shift, o_z, d_z)
         return Hit((discriminant >= 0) & inside & (t > 0) & (t < maxt), t, UInt32(numbers[0]))
 
     def _moment_along(self, q: Vector3f | Point2f, d: Vector3f | Point2f) -> Float:
         """The component (q x d) . axis of the moment."""
         if len(q) == 2:
             return dr.fma(q[0], d[1], -q[1] * d[0])
-        assert self._axes is not None
         return dr.dot(dr.cross(Vector3f(*q), Vector3f(*d)), self._axes[0].axis.vector)
 
     def _within(self, z: Float) -> Bool:

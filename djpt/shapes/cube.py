@@ -13,15 +13,14 @@ from djpt.core.lookup import choose
 from djpt.core.numeric import cross_product
 from djpt.core.records import PositionSample3f
 from djpt.core.transforms import ScalarTransform4f
-from djpt.description.plugin import ParamFlags, TraversalCallback
-from djpt.description.properties import Properties
+from djpt.description.plugin import HIDDEN, TraversalCallback
 from djpt.description.registry import register_shape
 from djpt.errors import ParameterError
 from djpt.jit.kernels import as_float, as_vector, maximum, minimum
 from djpt.jit.types import Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.shapes.axes import AxisPool, ProjectedRay, SignedAxis
 from djpt.shapes.base import Face, Hit, Shape
-from djpt.shapes.shape_type import ShapeType
+from djpt.shapes.mitsuba_api import ShapeType
 
 __all__ = ["FACES", "Cube", "face_axis"]
 
@@ -36,7 +35,6 @@ FACES = (
     ((2, -1), (1, -1), (0, 1)),
 )
 CORNERS_UV = ((0.0, 1.0), (1.0, 1.0), (1.0, 0.0), (0.0, 0.0))
-HIDDEN = ParamFlags.NonDifferentiable
 
 
 def face_axis(axis_sign: tuple[int, int]) -> NDArray[np.float64]:
@@ -69,10 +67,6 @@ class Cube(Shape):
     canonical = "cube"
     values = dict.fromkeys(("center", "edge_x", "edge_y", "edge_z", "dual_x", "dual_y", "dual_z", "areas"), HIDDEN)
     statics = ("flip_normals", "mirrored")
-
-    def __init__(self, props: Properties) -> None:
-        super().__init__(props)
-        self._axes: tuple[SignedAxis, ...] | None = None
 
     # ---- parameters: the names of Mitsuba's cube, which is a mesh ------------------
 
@@ -166,7 +160,6 @@ class Cube(Shape):
         return float(middle - reach), float(middle + reach)
 
     def faces(self) -> Sequence[Face]:
-        assert self._axes is not None
         result = []
         for (n, n_sign), (u, u_sign), _ in FACES:
             axis, tangent = self._axes[n], self._axes[3 + u]
@@ -183,7 +176,6 @@ class Cube(Shape):
     # ---- in kernels ----------------------------------------------------------------
 
     def intersect(self, ray: ProjectedRay, maxt: Float, numbers: Sequence[int]) -> Hit:
-        assert self._axes is not None
         enter, leave, forward = [], [], []
         for signed, (low, high) in zip(self._axes[:3], self.slabs, strict=True):
             o, _, inv_d = ray.onto(signed.axis)

@@ -17,7 +17,7 @@ from djpt.jit.kernels import own_copy, own_floats
 from djpt.shapes.axes import AxisPool
 from djpt.shapes.base import Shape
 from djpt.shapes.curve_segments import CurveSegments
-from djpt.shapes.mesh_file import MeshFile
+from djpt.shapes.mesh import MeshFile
 
 __all__ = ["Curves"]
 

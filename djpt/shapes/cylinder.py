@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.core.records import PositionSample3f
-from djpt.description.plugin import ParamFlags
+from djpt.description.plugin import HIDDEN
 from djpt.description.properties import Properties
 from djpt.description.registry import register_shape
 from djpt.errors import SceneError
@@ -19,15 +19,13 @@ from djpt.jit.kernels import as_float
 from djpt.jit.types import Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.shapes.axes import AxisPool, ProjectedRay
 from djpt.shapes.base import Hit
+from djpt.shapes.mitsuba_api import ShapeType
 from djpt.shapes.revolution import Revolution, along
-from djpt.shapes.shape_type import ShapeType
 
 if TYPE_CHECKING:
     from djpt.shapes.silhouettes.base import Silhouette
 
 __all__ = ["Cylinder"]
-
-HIDDEN = ParamFlags.NonDifferentiable
 
 
 class Cylinder(Revolution):

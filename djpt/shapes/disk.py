@@ -10,27 +10,25 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.core.numeric import cross_product
 from djpt.core.records import PositionSample3f
 from djpt.core.warp import square_to_uniform_disk_concentric
-from djpt.description.plugin import ParamFlags
+from djpt.description.plugin import HIDDEN
 from djpt.description.properties import Properties
 from djpt.description.registry import register_shape
-from djpt.jit.kernels import as_float, as_vector
+from djpt.jit.kernels import as_float
 from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
-from djpt.shapes.axes import AxisPool, ProjectedRay, SignedAxis
-from djpt.shapes.base import Hit, Shape
-from djpt.shapes.shape_type import ShapeType
+from djpt.shapes.axes import AxisPool, ProjectedRay
+from djpt.shapes.base import Hit
+from djpt.shapes.flat import FlatShape
+from djpt.shapes.mitsuba_api import ShapeType
 
 if TYPE_CHECKING:
     from djpt.shapes.silhouettes.base import Silhouette
 
 __all__ = ["Disk"]
 
-HIDDEN = ParamFlags.NonDifferentiable
 
-
-class Disk(Shape):
+class Disk(FlatShape):
     """A disk or an ellipse with uv = (r, phi / 2 pi) in local polar coordinates.
 
     Parameters: `to_world` (affine, default identity), `flip_normals` (default false).
@@ -46,20 +44,13 @@ class Disk(Shape):
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
-        self._axes: tuple[SignedAxis, ...] | None = None
         self._round = True
 
     # ---- on the host ---------------------------------------------------------------
 
     def place(self, pool: AxisPool) -> None:
-        matrix = self.to_world.matrix
-        center, u, v = matrix[:3, 3], matrix[:3, 0], matrix[:3, 1]
-        cross = cross_product(u, v)
-        normal = cross / np.linalg.norm(cross)
-        # Duals: dual_u . (p - center) is the local x coordinate, also for sheared disks.
-        dual_u, dual_v = cross_product(v, cross) / cross.dot(cross), cross_product(cross, u) / cross.dot(cross)
-        outward = -normal if self.flip_normals != bool(normal.dot(matrix[:3, 2]) < 0) else normal
-
+        normal, _, dual_u, dual_v, cross = self.lay()
+        center, u, v, _ = self._host
         radius = float(np.linalg.norm(u))
         circle = abs(np.linalg.norm(v) / radius - 1) < 1e-6 and abs(u.dot(v)) < 1e-6 * radius**2
         # Once an ellipse, always treated as one: edits forth and back compile one kernel.
@@ -67,11 +58,6 @@ class Disk(Shape):
         directions = (normal,) if self._round else (normal, dual_u, dual_v)
         previous = self._axes if self._axes is not None and len(self._axes) == len(directions) else None
         self._axes = pool.find(directions, previous)
-        self._host = (center, u, v, normal)
-
-        self.center, self.edge_u, self.edge_v = as_vector(center), as_vector(u), as_vector(v)
-        self.dual_u, self.dual_v = as_vector(dual_u), as_vector(dual_v)
-        self.normal = as_vector(outward)
         self.area = as_float(math.pi * float(np.linalg.norm(cross)))
         self.plane_offset = as_float(float(center.dot(self._axes[0].axis.direction)))
         self.radius_squared = as_float(radius**2)
@@ -85,21 +71,15 @@ class Disk(Shape):
         middle, reach = center.dot(direction), math.hypot(u.dot(direction), v.dot(direction))
         return float(middle - reach), float(middle + reach)
 
-    def plane(self) -> tuple[NDArray[np.float64], float] | None:
-        center, _, _, normal = self._host
-        return normal, float(center.dot(normal))
-
     # ---- in kernels ----------------------------------------------------------------
 
     def intersect(self, ray: ProjectedRay, maxt: Float, numbers: Sequence[int]) -> Hit:
-        assert self._axes is not None
         o_n, _, inv_n = ray.onto(self._axes[0].axis)
         t = (self.plane_offset - o_n) * inv_n
         return Hit(self._covers(ray, t) & (t > 0) & (t < maxt), t, UInt32(numbers[0]))
 
     def _covers(self, ray: ProjectedRay, t: Float) -> Bool:
         """Whether the point at `t`, which is on the disk's plane, is on the disk."""
-        assert self._axes is not None
         if self._round:
             # Along a coordinate axis the component is 0; otherwise three components are cheaper than two projections.
             skipped = self._axes[0].axis.coordinate
@@ -120,8 +100,7 @@ class Disk(Shape):
 
     def _polar(self, p: Point3f) -> tuple[Float, Float, Float]:
         """The local polar coordinates of a point: cos(phi), sin(phi) and r."""
-        local = p - self.center
-        x, y = dr.dot(self.dual_u, local), dr.dot(self.dual_v, local)
+        x, y = self.local(p)
         r_squared = dr.fma(x, x, dr.square(y))
         inv_r = dr.rsqrt(r_squared)
         there = r_squared > 0

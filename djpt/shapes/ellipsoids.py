@@ -11,7 +11,7 @@ from djpt.description.registry import register_shape
 from djpt.shapes.axes import AxisPool
 from djpt.shapes.curve_segments import CurveSegments, ellipsoid_pieces
 from djpt.shapes.ellipsoid_cloud import Cloud
-from djpt.shapes.shape_type import ShapeType
+from djpt.shapes.mitsuba_api import ShapeType
 
 __all__ = ["Ellipsoids"]
 
@@ -21,7 +21,7 @@ class Ellipsoids(Cloud):
 
     Parameters: one of
 
-    * `filename`: a PLY file, see `djpt.shapes.ellipsoids_file`; then also `scale_factor` (default 1) and `to_world`;
+    * `filename`: a PLY file, see `djpt.shapes.ellipsoid_cloud`; then also `scale_factor` (default 1) and `to_world`;
     * `data`: (N, 10) numbers: centre, scales, quaternion x y z w;
     * `centers` (N, 3), `scales` (N, 3) and `quaternions` (N, 4);
 

@@ -15,7 +15,7 @@ from djpt.description.registry import register_shape
 from djpt.shapes.ellipsoid_cloud import Cloud
 from djpt.shapes.mesh import Mesh
 from djpt.shapes.meshes.data import MeshData
-from djpt.shapes.shape_type import ShapeType
+from djpt.shapes.mitsuba_api import ShapeType
 
 __all__ = ["EllipsoidsMesh"]
 

@@ -8,7 +8,7 @@ import drjit as dr
 import numpy as np
 
 from djpt.core.numeric import as_array, describe
-from djpt.description.plugin import ParamFlags, TraversalCallback
+from djpt.description.plugin import HIDDEN, ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_shape
 from djpt.errors import DjptError, ParameterError
@@ -18,8 +18,6 @@ from djpt.shapes.axes import AxisPool
 from djpt.shapes.level_set import PLACE, LevelSet
 
 __all__ = ["Implicit", "Metaballs", "Torus"]
-
-HIDDEN = ParamFlags.NonDifferentiable
 
 
 class Implicit(LevelSet):

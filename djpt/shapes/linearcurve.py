@@ -5,7 +5,7 @@ from __future__ import annotations
 from djpt.description.registry import register_shape
 from djpt.shapes.curve import Curves
 from djpt.shapes.curve_segments import CurveSegments, linear_pieces
-from djpt.shapes.shape_type import ShapeType
+from djpt.shapes.mitsuba_api import ShapeType
 
 __all__ = ["LinearCurve"]
 

@@ -2,38 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import copy
+from collections.abc import Hashable, Mapping, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal, overload
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, overload
 
 import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.core.files import read_bytes
 from djpt.core.records import PositionSample3f
 from djpt.core.warp import square_to_uniform_triangle
-from djpt.description.plugin import ParamFlags, TraversalCallback
+from djpt.description.files import read_once, resolve
+from djpt.description.plugin import HIDDEN, ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
-from djpt.errors import ParameterError, SceneError
+from djpt.errors import FileError, ParameterError, SceneError
 from djpt.jit.kernels import as_float, own_copy, own_floats
 from djpt.jit.types import Float, Point2f, UInt32
 from djpt.shapes.axes import AxisPool
 from djpt.shapes.base import Shape
-from djpt.shapes.meshes.cleaning import clean
-from djpt.shapes.meshes.data import MeshData, unit
+from djpt.shapes.meshes.data import MeshData, clean, unit
 from djpt.shapes.meshes.making import Edits, check_prefix, of_arrays, of_zeros, rows
-from djpt.shapes.meshes.measures import Measures, is_closed, is_remote
-from djpt.shapes.meshes.queries import MeshQueries
-from djpt.shapes.shape_type import ShapeType
+from djpt.shapes.meshes.queries import Measures, MeshQueries, is_closed, is_remote
+from djpt.shapes.mitsuba_api import ShapeType
 
 if TYPE_CHECKING:
     from djpt.description.plugin import Frame
     from djpt.shapes.meshes.mesh_set import MeshSet
     from djpt.shapes.silhouettes.base import Silhouette
 
-__all__ = ["Mesh"]
+__all__ = ["Mesh", "MeshFile"]
 
-HIDDEN = ParamFlags.NonDifferentiable
 PARAMETERS = ("faces_parameter", "vertex_positions", "vertex_normals", "vertex_texcoords")
 """The attributes that hold the parameters of all meshes; made when they are asked for, which most never are."""
 STORED = {"faces": "faces_parameter"}
@@ -391,3 +392,52 @@ class Mesh(MeshQueries, Shape):
         from djpt.shapes.silhouettes.mesh import MeshSilhouette
 
         return MeshSilhouette if self.shape_type() == ShapeType.Mesh else None
+
+
+class MeshFile(Mesh):
+    """A mesh read from a file.
+
+    Parameters: `filename`; `face_normals` (default false: without normals in the file, angle-weighted
+    vertex normals are computed), `flip_normals` (default false), `flip_tex_coords` (v becomes 1 - v),
+    `to_world`.
+    """
+
+    flips_texcoords: ClassVar[bool] = False
+    """The default of `flip_tex_coords`."""
+
+    def __init__(self, props: Properties) -> None:
+        path = self.find(props)
+        form = (type(self), self.part(props))
+        where = f"{props.node}: {path.name}"
+        read = read_once(props.string("filename"), form, lambda: self.read(self.load(props, path), where, props))
+        # A copy of its own: the arrays may be shared, but aren't changed in place.
+        data = copy.copy(read)
+        data.attributes = dict(read.attributes)
+        if props.boolean("flip_tex_coords", self.flips_texcoords) and data.texcoords is not None:
+            data.texcoords = data.texcoords.copy()
+            data.texcoords[:, 1] = 1 - data.texcoords[:, 1]
+        self.adopt(data, props, compute_normals=True, source=path.name)
+
+    @staticmethod
+    def find(props: Properties) -> Path:
+        """The file that `filename` names."""
+        try:
+            return resolve(props.string("filename"))
+        except FileError as error:
+            raise SceneError(f"{props.node}: 'filename': {error}") from None
+
+    def part(self, props: Properties) -> Hashable:
+        """What tells apart the meshes that one file may hold; by default it holds one."""
+        return None
+
+    @staticmethod
+    def load(props: Properties, path: Path) -> bytes:
+        """The file's contents."""
+        try:
+            return read_bytes(path)
+        except FileError as error:
+            raise SceneError(f"{props.node}: {error}") from None
+
+    def read(self, data: bytes, where: str, props: Properties) -> MeshData:
+        """The mesh in a file's contents, in object space; `where` names the file in messages."""
+        raise NotImplementedError

@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 
 from djpt.description.plugin import Plugin
 from djpt.shapes.base import Shape
-from djpt.shapes.shape_type import ShapeType
+from djpt.shapes.mitsuba_api import ShapeType
 
 __all__ = ["in_buckets", "likeness", "merged_last"]
 

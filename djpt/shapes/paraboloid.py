@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.core.records import PositionSample3f
-from djpt.description.plugin import ParamFlags
+from djpt.description.plugin import HIDDEN
 from djpt.description.properties import Properties
 from djpt.description.registry import register_shape
 from djpt.jit.kernels import as_float
@@ -20,8 +20,6 @@ from djpt.shapes.base import Hit
 from djpt.shapes.revolution import Revolution, along
 
 __all__ = ["Paraboloid"]
-
-HIDDEN = ParamFlags.NonDifferentiable
 
 
 class Paraboloid(Revolution):
@@ -89,10 +87,7 @@ class Paraboloid(Revolution):
     # ---- in kernels ----------------------------------------------------------------
 
     def intersect(self, ray: ProjectedRay, maxt: Float, numbers: Sequence[int]) -> Hit:
-        """Solve |p|^2 = 4 f z, p across the axis, from the point of the ray closest to the vertex.
-
-        Of the two roots, the one without cancellation gives the other: their product is known.
-        """
+        """Solve |p|^2 = 4 f z, p across the axis, from the point of the ray closest to the vertex."""
         o, d, o_z, d_z = self.split(ray, self.vertex_place)
         o_z, d_z = o_z * self.along_axis, d_z * self.along_axis
         shift = -dr.fma(o_z, d_z, dr.dot(o, d)) * dr.rcp(dr.fma(d_z, d_z, dr.squared_norm(d)))
@@ -100,13 +95,9 @@ class Paraboloid(Revolution):
         a, c = dr.squared_norm(d), dr.fma(-4 * self.focal_length, z, dr.squared_norm(q))
         b = dr.fma(-2 * self.focal_length, d_z, dr.dot(q, d))
         discriminant = dr.fma(b, b, -a * c)
-        sum_ = -(b + dr.mulsign(dr.sqrt(dr.select(discriminant > 0, discriminant, 0)), b))
+        root = dr.sqrt(dr.select(discriminant > 0, discriminant, 0))
         # A ray along the axis has one hit: the other is at infinity, which isn't on the surface.
-        t1, t2 = sum_ * dr.rcp(a) + shift, c * dr.rcp(sum_) + shift
-        near, far = dr.select(t1 < t2, t1, t2), dr.select(t1 < t2, t2, t1)
-        on_near = (near > 0) & self._within(dr.fma(d_z, near, o_z))
-        t = dr.select(on_near, near, far)
-        inside = self._within(dr.fma(d_z, t, o_z))
+        t, inside = self.first_root(a, b, c, root, shift, o_z, d_z)
         return Hit((discriminant >= 0) & inside & (t > 0) & (t < maxt), t, UInt32(numbers[0]))
 
     def _within(self, z: Float) -> Bool:

@@ -10,23 +10,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.core.frame import Frame3f
-from djpt.core.numeric import cross_product
 from djpt.core.records import DirectionSample3f
 from djpt.core.warp import square_to_uniform_cone
-from djpt.description.plugin import ParamFlags
-from djpt.description.properties import Properties
+from djpt.description.plugin import HIDDEN
 from djpt.description.registry import register_shape
-from djpt.jit.kernels import as_float, as_vector
+from djpt.jit.kernels import as_float
 from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
-from djpt.shapes.axes import ALIGNED, AxisPool, ProjectedRay, SignedAxis
-from djpt.shapes.base import Face, Hit, Shape
+from djpt.shapes.axes import ALIGNED, AxisPool, ProjectedRay
+from djpt.shapes.base import Face, Hit
+from djpt.shapes.flat import FlatShape
 
 __all__ = ["Plane"]
 
-HIDDEN = ParamFlags.NonDifferentiable
 
-
-class Plane(Shape):
+class Plane(FlatShape):
     """All points with local z = 0, without a border; uv are the local x and y.
 
     Parameters: `to_world` (affine, default identity), `flip_normals` (default false). The front, where light is
@@ -38,46 +35,25 @@ class Plane(Shape):
     has_area = False
     values = dict.fromkeys(("center", "edge_u", "edge_v", "normal", "dual_u", "dual_v"), HIDDEN)
 
-    def __init__(self, props: Properties) -> None:
-        super().__init__(props)
-        self._axes: tuple[SignedAxis, ...] | None = None
-
     def place(self, pool: AxisPool) -> None:
-        matrix = self.to_world.matrix
-        center, u, v = matrix[:3, 3], matrix[:3, 0], matrix[:3, 1]
-        cross = cross_product(u, v)
-        normal = cross / np.linalg.norm(cross)
-        mirrored = bool(normal.dot(matrix[:3, 2]) < 0)
-        outward = -normal if self.flip_normals != mirrored else normal
+        outward = self.lay()[1]
+        center, u, _, _ = self._host
         self._axes = pool.find((outward, u), self._axes)
-        self._host, self.mirrored = (center, normal), mirrored
-
         self.plane_offset = as_float(float(center.dot(self._axes[0].axis.direction)))
-        self.center, self.normal = as_vector(center), as_vector(outward)
-        self.edge_u, self.edge_v = as_vector(u), as_vector(v)
-        self.dual_u = as_vector(cross_product(v, cross) / cross.dot(cross))
-        self.dual_v = as_vector(cross_product(cross, u) / cross.dot(cross))
 
     def interval(self, direction: NDArray[np.float64]) -> tuple[float, float]:
-        center, normal = self._host
+        center, _, _, normal = self._host
         unit = direction / np.linalg.norm(direction)
         if min(np.abs(unit - normal).max(), np.abs(unit + normal).max()) > ALIGNED:
             return -math.inf, math.inf
         return float(center.dot(direction)), float(center.dot(direction))
 
-    def plane(self) -> tuple[NDArray[np.float64], float] | None:
-        center, normal = self._host
-        return normal, float(center.dot(normal))
-
     def faces(self) -> Sequence[Face]:
-        assert self._axes is not None
-        outward, tangent = self._axes
-        return [Face(SignedAxis(outward.axis, outward.negative ^ self.mirrored), outward, tangent)]
+        return [self.flat_face(self._axes[1])]
 
     # ---- in kernels ----------------------------------------------------------------
 
     def intersect(self, ray: ProjectedRay, maxt: Float, numbers: Sequence[int]) -> Hit:
-        assert self._axes is not None
         o_n, _, inv_n = ray.onto(self._axes[0].axis)
         t = (self.plane_offset - o_n) * inv_n
         return Hit((t > 0) & (t < maxt), t, UInt32(numbers[0]))
@@ -91,18 +67,16 @@ class Plane(Shape):
         p = dr.fma(d, dist, ref)
         ok = (dist > 0) & dr.isfinite(dist)
         pdf, weight = dr.select(ok, Float(0.5 / math.pi), 0), dr.select(ok, Float(2 * math.pi), 0)
-        return DirectionSample3f.of(p, Vector3f(self.normal), self._uv(p), d, dist, pdf, weight, Bool(False), UInt32(0))
+        return DirectionSample3f.of(
+            p, Vector3f(self.normal), self.local(p), d, dist, pdf, weight, Bool(False), UInt32(0)
+        )
 
     def direction_density(self, ref: Point3f, ds: DirectionSample3f) -> Float:
         towards = dr.dot(ds.d, self.normal) * dr.dot(ref - self.center, self.normal) < 0
         return dr.select(towards, Float(0.5 / math.pi), 0)
 
-    def _uv(self, p: Point3f) -> Point2f:
-        local = p - self.center
-        return Point2f(dr.dot(self.dual_u, local), dr.dot(self.dual_v, local))
-
     def uv_and_partials(self, p: Point3f, face: UInt32) -> tuple[Point2f, Vector3f, Vector3f]:
-        return self._uv(p), Vector3f(self.edge_u), Vector3f(self.edge_v)
+        return self.local(p), Vector3f(self.edge_u), Vector3f(self.edge_v)
 
 
 register_shape("plane", Plane)

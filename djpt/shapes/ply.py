@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from djpt.description.properties import Properties
 from djpt.description.registry import register_shape
-from djpt.shapes.mesh_file import MeshFile
+from djpt.shapes.mesh import MeshFile
 from djpt.shapes.meshes.data import MeshData
 from djpt.shapes.meshes.ply import read_ply
 

@@ -9,26 +9,23 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.core.numeric import cross_product
 from djpt.core.records import PositionSample3f
-from djpt.description.plugin import ParamFlags
-from djpt.description.properties import Properties
+from djpt.description.plugin import HIDDEN
 from djpt.description.registry import register_shape
-from djpt.jit.kernels import as_float, as_vector
+from djpt.jit.kernels import as_float
 from djpt.jit.types import Float, Point2f, Point3f, UInt32, Vector3f
-from djpt.shapes.axes import AxisPool, ProjectedRay, SignedAxis
-from djpt.shapes.base import Face, Hit, Shape
-from djpt.shapes.shape_type import ShapeType
+from djpt.shapes.axes import AxisPool, ProjectedRay
+from djpt.shapes.base import Face, Hit
+from djpt.shapes.flat import FlatShape
+from djpt.shapes.mitsuba_api import ShapeType
 
 if TYPE_CHECKING:
     from djpt.shapes.silhouettes.base import Silhouette
 
 __all__ = ["Rectangle"]
 
-HIDDEN = ParamFlags.NonDifferentiable
 
-
-class Rectangle(Shape):
+class Rectangle(FlatShape):
     """A parallelogram with uv = ((x + 1) / 2, (y + 1) / 2).
 
     Parameters: `to_world` (affine, default identity), `flip_normals` (default false).
@@ -43,33 +40,14 @@ class Rectangle(Shape):
     values = dict.fromkeys(("center", "edge_u", "edge_v", "normal", "area", "dual_u", "dual_v"), HIDDEN)
     statics = ("flip_normals",)
 
-    def __init__(self, props: Properties) -> None:
-        super().__init__(props)
-        self._axes: tuple[SignedAxis, ...] | None = None
-
     def place(self, pool: AxisPool) -> None:
-        matrix = self.to_world.matrix
-        center, u, v = matrix[:3, 3], matrix[:3, 0], matrix[:3, 1]
-        cross = cross_product(u, v)
-        normal = cross / np.linalg.norm(cross)
-        # Duals: dual_u . (p - center) is the local x coordinate, also for sheared rectangles.
-        dual_u, dual_v = cross_product(v, cross) / cross.dot(cross), cross_product(cross, u) / cross.dot(cross)
-        # The geometric normal is dp/du x dp/dv, the shading normal lies on the side of local +z.
-        mirrored = bool(normal.dot(matrix[:3, 2]) < 0)
-        outward = -normal if self.flip_normals != mirrored else normal
-
+        _, outward, dual_u, dual_v, cross = self.lay()
+        center, u, _, _ = self._host
         self._axes = pool.find((outward, dual_u, dual_v, u), self._axes)
-        self._host = (center, u, v, normal)
-        self.mirrored = mirrored
-
         axis_n, axis_u, axis_v = (signed.axis.direction for signed in self._axes[:3])
         self.plane_offset = as_float(center.dot(axis_n))
         self.center_u, self.half_u = as_float(center.dot(axis_u)), as_float(float(1 / np.linalg.norm(dual_u)))
         self.center_v, self.half_v = as_float(center.dot(axis_v)), as_float(float(1 / np.linalg.norm(dual_v)))
-
-        self.center, self.edge_u, self.edge_v = as_vector(center), as_vector(u), as_vector(v)
-        self.dual_u, self.dual_v = as_vector(dual_u), as_vector(dual_v)
-        self.normal = as_vector(outward)
         self.area = as_float(float(4 * np.linalg.norm(cross)))
 
     def interval(self, direction: NDArray[np.float64]) -> tuple[float, float]:
@@ -77,18 +55,10 @@ class Rectangle(Shape):
         middle, reach = center.dot(direction), abs(u.dot(direction)) + abs(v.dot(direction))
         return float(middle - reach), float(middle + reach)
 
-    def plane(self) -> tuple[NDArray[np.float64], float] | None:
-        center, _, _, normal = self._host
-        return normal, float(center.dot(normal))
-
     def faces(self) -> Sequence[Face]:
-        assert self._axes is not None
-        outward = self._axes[0]
-        geometric = SignedAxis(outward.axis, outward.negative ^ self.mirrored)
-        return [Face(geometric, outward, self._axes[3])]
+        return [self.flat_face(self._axes[3])]
 
     def intersect(self, ray: ProjectedRay, maxt: Float, numbers: Sequence[int]) -> Hit:
-        assert self._axes is not None
         o_n, _, inv_n = ray.onto(self._axes[0].axis)
         o_u, d_u, _ = ray.onto(self._axes[1].axis)
         o_v, d_v, _ = ray.onto(self._axes[2].axis)
@@ -109,10 +79,7 @@ class Rectangle(Shape):
         return self.draw_point(uv)
 
     def uv_and_partials(self, p: Point3f, face: UInt32) -> tuple[Point2f, Vector3f, Vector3f]:
-        local = p - self.center
-        u = dr.fma(0.5, dr.dot(self.dual_u, local), 0.5)
-        v = dr.fma(0.5, dr.dot(self.dual_v, local), 0.5)
-        return Point2f(u, v), 2 * self.edge_u, 2 * self.edge_v
+        return Point2f(dr.fma(0.5, self.local(p), 0.5)), 2 * self.edge_u, 2 * self.edge_v
 
     def triangle(self, face: UInt32, uv: Point2f) -> UInt32:
         # Two triangles, cut along the diagonal u + v = 1.

@@ -10,11 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.core.transforms import ScalarTransform4f
-from djpt.description.properties import Properties
-from djpt.errors import ParameterError, SceneError
 from djpt.jit.kernels import as_vector
-from djpt.jit.types import Float, Point2f, Point3f, Vector3f
-from djpt.shapes.axes import ProjectedRay, SignedAxis
+from djpt.jit.types import Bool, Float, Point2f, Point3f, Vector3f
+from djpt.shapes.axes import ProjectedRay
 from djpt.shapes.base import Shape
 
 __all__ = ["Revolution", "along"]
@@ -31,32 +29,13 @@ class Revolution(Shape):
     axis_y: Vector3f
     axis_z: Vector3f
 
-    def __init__(self, props: Properties) -> None:
-        super().__init__(props)
-        self._axes: tuple[SignedAxis, ...] | None = None
-
-    def stretch(self, local: ScalarTransform4f, node: str) -> None:
-        """Append `local` to the `to_world` of the description: it is applied first."""
-        self.to_world = self.to_world @ local
-        problem = self._problem(self.to_world.matrix)
-        if problem:
-            raise SceneError(f"{node}: {problem}")
-
-    def _problem(self, matrix: NDArray[np.float64]) -> str | None:
+    def misfit(self, matrix: NDArray[np.float64]) -> str | None:
         lengths = np.linalg.norm(matrix[:3, :3], axis=0)
         unit = matrix[:3, :3] / lengths
         if np.abs(unit.T @ unit - np.eye(3)).max() > 1e-4 or abs(lengths[0] / lengths[1] - 1) > 1e-4:
             name = type(self).__name__.lower()
             return f"the 'to_world' of a {name} may only scale uniformly, rotate, mirror and translate"
         return None
-
-    def check_parameter(self, name: str, value: object) -> object:
-        value = super().check_parameter(name, value)
-        if name == "to_world" and isinstance(value, ScalarTransform4f):
-            problem = self._problem(value.matrix)
-            if problem:
-                raise ParameterError(f"{self.id()}.to_world: {problem}")
-        return value
 
     def set_frame(self, center: NDArray[np.float64], directions: NDArray[np.float64]) -> None:
         """Set the values by which kernels find local coordinates; `directions` are the rows x, y, z."""
@@ -70,7 +49,6 @@ class Revolution(Shape):
 
         Returns origin across, direction across, origin along, direction along.
         """
-        assert self._axes is not None
         axis = self._axes[0].axis
         o_z, d_z, _ = ray.onto(axis)
         o_z = o_z - middle
@@ -81,6 +59,25 @@ class Revolution(Shape):
         across = [k for k in range(3) if k != axis.coordinate]
         flat = Point2f(*(ray.ray.o[k] - self.center[k] for k in across))
         return flat, Point2f(*(ray.ray.d[k] for k in across)), o_z, d_z
+
+    def first_root(
+        self, a: Float, b: Float, c: Float, root: Float, shift: Float, o_z: Float, d_z: Float
+    ) -> tuple[Float, Bool]:
+        """The first zero t > 0 of a (t - shift)^2 + 2 b (t - shift) + c that is `_within`, and whether it is.
+
+        `root` is that of the discriminant. Of the two zeros, the one without cancellation gives the other: their
+        product is known.
+        """
+        sum_ = -(b + dr.mulsign(root, b))
+        t1, t2 = sum_ * dr.rcp(a) + shift, c * dr.rcp(sum_) + shift
+        near, far = dr.select(t1 < t2, t1, t2), dr.select(t1 < t2, t2, t1)
+        on_near = (near > 0) & self._within(dr.fma(d_z, near, o_z))
+        t = dr.select(on_near, near, far)
+        return t, self._within(dr.fma(d_z, t, o_z))
+
+    def _within(self, z: Float) -> Bool:
+        """Whether a place along the axis, as `split` measures it, is that of the surface."""
+        raise NotImplementedError
 
     def across(self, p: Point3f) -> tuple[Vector3f, Float]:
         """The vector from the axis to a point, perpendicular to it, and the point's place along it from `center`."""

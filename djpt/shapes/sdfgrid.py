@@ -14,18 +14,17 @@ from numpy.typing import NDArray
 from djpt.core.frame import Frame3f, coordinate_system
 from djpt.core.numeric import describe
 from djpt.description.files import resolve
-from djpt.description.plugin import ParamFlags, TraversalCallback
+from djpt.description.plugin import HIDDEN, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_shape
 from djpt.errors import DjptError, FileError, ParameterError
 from djpt.jit.types import Array4f, Float, Int32, Point2f, Point3f, TensorXf, UInt32, Vector3f
 from djpt.shapes.level_set import PLACE, LevelSet, gradient
-from djpt.shapes.shape_type import ShapeType
+from djpt.shapes.mitsuba_api import ShapeType
 from djpt.volumes.volume_grid import VolumeGrid
 
 __all__ = ["SDFGrid", "read_volume"]
 
-HIDDEN = ParamFlags.NonDifferentiable
 SERIAL = itertools.count()
 MOST_CELLS = 2**26
 """Most cells of a grid; each takes 32 bytes."""

@@ -22,15 +22,14 @@ from djpt.core.frame import Frame3f
 from djpt.core.records import RAY_EPSILON, DirectionSample3f, PositionSample3f, Ray3f
 from djpt.core.transforms import ScalarTransform4f
 from djpt.core.warp import square_to_uniform_sphere
-from djpt.description.plugin import ParamFlags
+from djpt.description.plugin import HIDDEN
 from djpt.description.properties import Properties
 from djpt.description.registry import register_shape
-from djpt.errors import ParameterError, SceneError
 from djpt.jit.kernels import as_float, as_vector
 from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.shapes.axes import AxisPool, ProjectedRay
 from djpt.shapes.base import Hit, Shape
-from djpt.shapes.shape_type import ShapeType
+from djpt.shapes.mitsuba_api import ShapeType
 
 if TYPE_CHECKING:
     from djpt.description.plugin import Frame
@@ -69,9 +68,6 @@ def intersect_large(ray: Ray3f, center: Point3f, radius: Float, power: Float) ->
     return (discriminant >= 0) & (t > start) & (t < math.inf), t
 
 
-HIDDEN = ParamFlags.NonDifferentiable
-
-
 class Sphere(Shape):
     """All points at distance `radius` from `center`, mapped by `to_world`.
 
@@ -92,13 +88,9 @@ class Sphere(Shape):
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         local = ScalarTransform4f().translate(props.vector("center", (0, 0, 0)))
-        self.to_world = self.to_world @ local.scale(props.float("radius", 1.0, low=0.0, low_open=True))
-        problem = self._problem(self.to_world.matrix)
-        if problem:
-            raise SceneError(f"{props.node}: {problem}")
+        self.stretch(local.scale(props.float("radius", 1.0, low=0.0, low_open=True)), props.node)
 
-    @staticmethod
-    def _problem(matrix: NDArray[np.float64]) -> str | None:
+    def misfit(self, matrix: NDArray[np.float64]) -> str | None:
         lengths = np.linalg.norm(matrix[:3, :3], axis=0)
         gram = matrix[:3, :3].T @ matrix[:3, :3]
         if (
@@ -107,14 +99,6 @@ class Sphere(Shape):
         ):
             return "the 'to_world' of a sphere may only scale uniformly, rotate and translate"
         return None
-
-    def check_parameter(self, name: str, value: object) -> object:
-        value = super().check_parameter(name, value)
-        if name == "to_world" and isinstance(value, ScalarTransform4f):
-            problem = self._problem(value.matrix)
-            if problem:
-                raise ParameterError(f"{self.id()}.to_world: {problem}")
-        return value
 
     def move_into(self, frame: Frame) -> None:
         super().move_into(frame)

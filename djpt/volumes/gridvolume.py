@@ -11,27 +11,27 @@ import numpy as np
 from drjit.scalar import Array3i as ScalarArray3i
 from numpy.typing import NDArray
 
+from djpt.core.bounding_box import ScalarBoundingBox3f
 from djpt.core.color import LUMINANCE
+from djpt.core.limits import LARGEST
 from djpt.core.transforms import ScalarTransform4f, as_transform
-from djpt.description.plugin import ParamFlags, TraversalCallback
+from djpt.description.files import resolve
+from djpt.description.plugin import HIDDEN, ParamFlags, TraversalCallback
 from djpt.description.properties import Allowed, Properties
 from djpt.description.registry import register_volume
 from djpt.dispatch.tables import entry_at
-from djpt.errors import ParameterError, SceneError
+from djpt.errors import ArgumentError, FileError, ParameterError, SceneError
 from djpt.jit.frozen import recording
 from djpt.jit.kernels import as_float, as_vector, lerp, maximum
-from djpt.jit.types import Bool, Color3f, Float, Point3f, UInt32, Vector3f
+from djpt.jit.types import Bool, Color3f, Float, Point3f, TensorXf, UInt32, Vector3f
 from djpt.textures.texels import WRAP_MODES, mean_texel, numbers_of, wrapped
 from djpt.volumes.base import Volume
-from djpt.volumes.cells import maxima_of_cells
-from djpt.volumes.voxels import as_voxels, check_voxels, load_voxels
+from djpt.volumes.volume_grid import VolumeGrid, as_grid, read_openvdb
 
 if TYPE_CHECKING:
     from djpt.description.plugin import Frame
 
-__all__ = ["GridVolume"]
-
-HIDDEN = ParamFlags.NonDifferentiable
+__all__ = ["GridVolume", "as_voxels", "check_voxels", "load_voxels", "maxima_of_cells"]
 
 
 class GridVolume(Volume):
@@ -39,7 +39,7 @@ class GridVolume(Volume):
 
     Parameters: one of
 
-    * `filename`: a file in Mitsuba's format (``.vol``), or one of OpenVDB (``.vdb``, see `djpt.volumes.openvdb`), of
+    * `filename`: a file in Mitsuba's format (``.vol``), or one of OpenVDB (``.vdb``), of
       which `grid_name` chooses a grid (default: 'density', or the only one);
     * `grid`: a `djpt.VolumeGrid`;
     * `data`: a tensor or an array, (Z, Y, X) or (Z, Y, X, C) with C = 1, 3 or 6 channels;
@@ -276,3 +276,99 @@ def halves(corners: list[Any]) -> tuple[list[Any], list[Any]]:
 
 
 register_volume("gridvolume", GridVolume)
+
+
+def maxima_of_cells(numbers: NDArray[np.float32], counts: Sequence[int], wrap_mode: str) -> NDArray[np.float32]:
+    """The maxima of a grid over the cells of a coarser one.
+
+    Args:
+        numbers: (Z, Y, X).
+        counts: the numbers of cells along x, y and z, over the same box.
+        wrap_mode: what lies beyond the border: 'clamp', 'repeat' or 'mirror'.
+
+    Returns:
+        (counts[2], counts[1], counts[0]): the maximum of all numbers that interpolation within the cell reads.
+    """
+    for axis, count in enumerate(reversed(counts)):
+        size = numbers.shape[axis]
+        slabs = [numbers.take(points(k, count, size, wrap_mode), axis).max(axis) for k in range(count)]
+        numbers = np.stack(slabs, axis)
+    return numbers
+
+
+def points(k: int, count: int, size: int, wrap_mode: str) -> NDArray[np.int64]:
+    """The numbers of the points along an axis that interpolation reads within cell k of `count`."""
+    # Kernels compute in single precision: places on a border may belong to either cell.
+    margin = 1e-5 * size
+    first = int(np.floor(k / count * size - 0.5 - margin))
+    last = int(np.floor((k + 1) / count * size - 0.5 + margin)) + 1
+    found = np.arange(first, last + 1)
+    if wrap_mode == "repeat":
+        return found % size
+    if wrap_mode == "mirror":
+        found = found % (2 * size)
+        return np.minimum(found, 2 * size - 1 - found)
+    return np.clip(found, 0, size - 1)
+
+
+SOURCES = ("filename", "grid", "data")
+CHANNELS = (1, 3, 6)
+
+
+def load_voxels(props: Properties) -> tuple[TensorXf, ScalarBoundingBox3f | None]:
+    """The numbers that `filename`, `grid` or `data` give, (Z, Y, X, C), and the box that the first two give."""
+    given = [key for key in SOURCES if key in props]
+    if len(given) != 1:
+        found = " and ".join(f"'{key}'" for key in given) or "none"
+        raise SceneError(f"{props.node}: '{props.plugin_name()}' needs one of {', '.join(SOURCES)}; found {found}")
+    key = given[0]
+    box = None
+    try:
+        if key == "data":
+            voxels = as_voxels(props.raw(key))
+        else:
+            source = read_grid(props) if key == "filename" else props.raw(key)
+            grid = source if isinstance(source, VolumeGrid) else VolumeGrid(source)
+            voxels, box = as_voxels(grid.voxels()), grid.bbox()
+        check_voxels(numbers_of(voxels))
+    except (ArgumentError, FileError) as error:
+        raise props.error(key, str(error)) from None
+    except SceneError as error:
+        raise props.error(key, str(error)) from None
+    return voxels, box
+
+
+def read_grid(props: Properties) -> VolumeGrid:
+    """The grid in the file `filename`, by the file's suffix; `grid_name` names one of several in a file of OpenVDB."""
+    path = resolve(props.string("filename"))
+    if path.suffix.lower() == ".vdb":
+        return read_openvdb(path, props.string("grid_name", ""))
+    return VolumeGrid(path)
+
+
+def as_voxels(value: Any) -> TensorXf:
+    """A tensor (Z, Y, X, C), attached to the gradients of `value`; (Z, Y, X) is one channel.
+
+    Raises:
+        SceneError: not an array of numbers, or of another shape.
+    """
+    try:
+        if isinstance(value, TensorXf):
+            shape = tuple(value.shape)
+            voxels = TensorXf(value.array, (*shape, 1)) if len(shape) == 3 else TensorXf(value)
+        else:
+            voxels = TensorXf(as_grid(value))
+    except ArgumentError as error:
+        raise SceneError(str(error)) from None
+    shape = tuple(voxels.shape)
+    if len(shape) != 4 or shape[3] not in CHANNELS or 0 in shape:
+        raise SceneError(f"must have the shape (z, y, x) or (z, y, x, channels) with 1, 3 or 6 channels, found {shape}")
+    return voxels
+
+
+def check_voxels(numbers: NDArray[np.float32]) -> None:
+    """Raise `SceneError` unless all numbers are finite."""
+    # False for NaN, which is both the least and the greatest number wherever it occurs.
+    if not (numbers.min() >= -LARGEST and numbers.max() <= LARGEST):
+        z, y, x, channel = np.argwhere(~(np.abs(numbers) <= LARGEST))[0]
+        raise SceneError(f"must be finite, found {numbers[z, y, x, channel]} at x = {x}, y = {y}, z = {z}")

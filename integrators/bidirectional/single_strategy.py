@@ -10,13 +10,11 @@ import drjit as dr
 
 from djpt.core.records import BSDFContext, BSDFFlags, BSDFSample3f, Ray3f, Reference, SurfaceInteraction3f, has_flag
 from djpt.integrators.bdpt import BidirectionalPath
-from djpt.integrators.bidirectional.compact_interaction import CompactInteraction
-from djpt.integrators.bidirectional.subpath import Subpath, meeting, mis_weight
+from djpt.integrators.bidirectional.subpath import CompactInteraction, Subpath, meeting, mis_weight
 from djpt.integrators.paths.path_vertex import PathVertex, Scattering
 from djpt.jit.kernels import loop_traced_once, wide
 from djpt.jit.types import Bool, Color3f, Float, Point2f, UInt32
-from djpt.materials.adjoint import sample_light
-from djpt.materials.base import BSDF
+from djpt.materials.base import BSDF, sample_light
 from djpt.samplers.base import SampleStream
 from djpt.sensors.base import Sensor
 

@@ -7,14 +7,52 @@ pyramid has s = 0 .. k; all of them estimate the same light. Paths of one edge h
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Protocol
 
 import drjit as dr
 
+from djpt.core.records import Ray3f
 from djpt.films.footprint import in_window
-from djpt.integrators.bidirectional.splatting import Sink
+from djpt.integrators.base import Integrator
 from djpt.jit.types import Bool, Color3f, Float, Point2f, UInt32
+from djpt.samplers.base import SampleStream
 
-__all__ = ["MAX_PYRAMID", "StrategyImages", "layer_names", "strategies"]
+if TYPE_CHECKING:
+    from djpt.scene.scene import Scene
+    from djpt.sensors.base import Sensor
+
+__all__ = ["MAX_PYRAMID", "Sink", "SplattingIntegrator", "StrategyImages", "layer_names", "strategies"]
+
+
+class Sink(Protocol):
+    """The receiver of light for any pixel: see `djpt.films.splats.Splats`."""
+
+    def add(self, position: Point2f, color: Color3f, active: Bool, layer: UInt32 | int = 0) -> None:
+        """Add a colour at a position in [0, 1)^2 of the crop window, to the image or to one of its further layers."""
+
+
+class SplattingIntegrator(Integrator):
+    """An estimator that joins paths of both ends: a sample has a value of its own, and adds light to any pixel.
+
+    A sample is a path from the camera and one from a light, so there are as many of one kind as of the other.
+    The sums of what is added are divided by the samples per pixel, and the image is the sum of both.
+    `layer_names` names the channels of further images that samples may add to: layers 1, 2, .. of the sink.
+    """
+
+    schedules: tuple[str, ...] = ("splatting",)
+    needs_light = True
+    differentiable = False
+
+    def splat_sample(
+        self, scene: Scene, camera: Sensor, sampler: SampleStream, ray: Ray3f, position: Point2f, sink: Sink
+    ) -> tuple[Color3f, Bool, list[Float]]:
+        """A sample, by its camera ray, with the results of `Integrator.sample`; adds to the `sink`.
+
+        `camera` is the sensor with opaque values. `position` is the ray's in the crop window, [0, 1)^2; filters look
+        beyond its borders, where no light can be added.
+        """
+        raise NotImplementedError
+
 
 MAX_PYRAMID = 8
 """The most edges of the paths in a pyramid: it has 88 images then."""

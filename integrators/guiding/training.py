@@ -9,14 +9,14 @@ P. Grittmann, S. Herholz, P. Vévoda, P. Slusallek and J. Křivánek, "Variance-
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
 from djpt.core.records import Ray3f
-from djpt.integrators.base import PathIntegrator, Vertex
+from djpt.integrators.base import Integrator, PathIntegrator, Vertex
 from djpt.integrators.guiding.guide import SQUARES
 from djpt.jit.kernels import as_float, loop_traced_once, minimum, while_loop, wide
 from djpt.jit.types import Bool, Color3f, Float, Int64, Point3f, UInt32, Vector3f
@@ -25,7 +25,41 @@ from djpt.samplers.base import SampleStream
 if TYPE_CHECKING:
     from djpt.scene.scene import Scene
 
-__all__ = ["GuidedVertex", "TrainingResult", "train"]
+__all__ = ["GuidedVertex", "LearningIntegrator", "TrainingPaths", "TrainingResult", "train"]
+
+
+class TrainingPaths(Protocol):
+    """Paths that an integrator learns from, and that no image counts."""
+
+    @property
+    def scene(self) -> Scene:
+        """The scene."""
+
+    @property
+    def samples(self) -> int:
+        """The number of samples of the image that is to be rendered."""
+
+    def begin(self, first: int, end: int) -> tuple[SampleStream, Ray3f]:
+        """Random numbers and camera rays of the paths `first` <= i < `end`, which are spread evenly over the image."""
+
+    def pause(self) -> None:
+        """Stop here if somebody has asked for it."""
+
+
+class LearningIntegrator(Integrator):
+    """An estimator that follows paths to learn from them, and renders with what it knows then.
+
+    What it has learned doesn't depend on the samples of the image, whose mean it can't change therefore.
+    """
+
+    schedules: tuple[str, ...] = ("learning",)
+    needs_light = True
+    differentiable = False
+
+    def trained(self, training_paths: TrainingPaths) -> Integrator:
+        """The integrator that knows the scene, and renders the image."""
+        raise NotImplementedError
+
 
 DIGITS = 24
 """Binary digits behind the point of the sums, whole numbers whose order doesn't matter."""

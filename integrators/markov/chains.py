@@ -6,6 +6,7 @@ E. Veach and L. Guibas, "Metropolis Light Transport", 1997, the weights are thos
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,14 +16,80 @@ from numpy.typing import NDArray
 
 from djpt.films.footprint import Splats
 from djpt.integrators.bidirectional.single_strategy import LastVertex, SingleStrategy
-from djpt.integrators.markov.mutations import Mutated
-from djpt.jit.kernels import loop_traced_once, maximum, own_copy, own_floats, while_loop
+from djpt.jit.kernels import loop_traced_once, maximum, minimum, own_copy, own_floats, while_loop
 from djpt.jit.llvm.lanes import small_blocks
 from djpt.jit.types import Bool, Color3f, Float, Point2f, UInt32
-from djpt.samplers.hashing import sample_tea_32
 from djpt.samplers.independent import IndependentStream
+from djpt.samplers.seeds import sample_tea_32
 
-__all__ = ["Bootstrap", "MarkovChains", "brightness"]
+__all__ = ["Bootstrap", "MarkovChains", "Mutated", "brightness", "step"]
+
+FINEST = 1 / 64
+"""The smallest step, as a fraction of the largest."""
+
+BELOW_ONE = 1 - 2.0**-24
+"""The largest float below 1."""
+
+
+def step(u: Float, a: Float, largest: Float) -> Float:
+    """Move the number `u` in [0, 1) a little, as a uniform number `a` says: the interval is a circle.
+
+    The distance lies between `largest` / 64 and `largest`, with a density that is proportional to its inverse. Steps to
+    and fro are equally likely.
+    """
+    up = a < 0.5
+    b = 2 * dr.select(up, a, a - 0.5)
+    distance = largest * dr.exp2(b * math.log2(FINEST))
+    moved = u + dr.select(up, distance, -distance)
+    return minimum(moved - dr.floor(moved), BELOW_ONE)
+
+
+@dataclass
+class Mutated:
+    """A `SampleStream` of a proposal: it mutates the numbers of a chain while they are drawn.
+
+    C. Kelemen, L. Szirmay-Kalos, G. Antal and F. Csonka, "A Simple and Robust Mutation Strategy for the Metropolis
+    Light Transport Algorithm", 2002.
+
+    Local memory has room for both. The proposal's numbers are written to the place that isn't the chain's, so that to
+    accept them is to exchange the roles of the two.
+    """
+
+    generator: IndependentStream
+    memory: Any
+    own: UInt32
+    """Index of the next number of the chain."""
+    other: UInt32
+    """Index at which the proposal's number is stored."""
+    is_large: Bool
+    """True where all numbers are drawn afresh."""
+    largest: Float
+    """The largest step of the others."""
+
+    @staticmethod
+    def of(
+        generator: IndependentStream, memory: Any, second: Bool, size: int, is_large: Bool, largest: Float
+    ) -> Mutated:
+        """The numbers of a proposal; `second`: the chain's stand in the second half of the memory, after `size`."""
+        first, middle = UInt32(0), UInt32(size)
+        own, other = dr.select(second, middle, first), dr.select(second, first, middle)
+        return Mutated(generator, memory, own, other, is_large, largest)
+
+    def clone(self) -> Mutated:
+        """Two of them would write to the same memory."""
+        raise NotImplementedError("the numbers of a proposal are drawn once")
+
+    def next_1d(self, active: Bool | bool = True) -> Float:
+        a, u = self.generator.next_1d(), self.memory.read(self.own)
+        number = dr.select(self.is_large, a, step(u, a, self.largest))
+        self.memory.write(number, self.other)
+        self.own, self.other = self.own + 1, self.other + 1
+        return number
+
+    def next_2d(self, active: Bool | bool = True) -> Point2f:
+        x = self.next_1d()
+        return Point2f(x, self.next_1d())
+
 
 TINY = 1e-300
 """In place of 0, to divide by."""

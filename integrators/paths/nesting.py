@@ -9,7 +9,7 @@ from djpt.description.plugin import TraversalCallback
 from djpt.description.properties import Properties
 from djpt.errors import SceneError
 from djpt.integrators.base import Integrator
-from djpt.integrators.guiding.learning import LearningIntegrator
+from djpt.integrators.guiding.training import LearningIntegrator
 from djpt.jit.types import Bool, Color3f, Float
 from djpt.samplers.base import SampleStream
 

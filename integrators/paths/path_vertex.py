@@ -20,8 +20,7 @@ from djpt.core.records import (
 from djpt.core.records.interactions import MediumInteraction3f
 from djpt.integrators.volpath import vertex_of
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
-from djpt.materials.adjoint import eval_pdf_light, sample_light
-from djpt.materials.base import BSDF
+from djpt.materials.base import BSDF, eval_pdf_light, sample_light
 from djpt.materials.pointer import at_fixed_direction
 from djpt.media.flight import of_channel
 from djpt.samplers.base import SampleStream

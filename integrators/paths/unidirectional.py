@@ -10,8 +10,7 @@ import drjit as dr
 
 from djpt.core.records import BSDFFlags, BSDFSample3f, Ray3f, SurfaceInteraction3f, has_flag
 from djpt.description.properties import Properties
-from djpt.integrators.base import PathIntegrator, PathState
-from djpt.integrators.paths.trace_path import trace_path
+from djpt.integrators.base import PathIntegrator, PathState, trace_path
 from djpt.integrators.termination import Terminating
 from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point3f, UInt32
 from djpt.samplers.base import SampleStream

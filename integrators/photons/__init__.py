@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from djpt.integrators.photons.coverage import inverse_coverage
-from djpt.integrators.photons.map import PhotonMap
+from djpt.integrators.photons.map import PhotonMap, inverse_coverage
 from djpt.integrators.photons.photon import Photon, PhotonStore
 
 __all__ = ["Photon", "PhotonMap", "PhotonStore", "inverse_coverage"]

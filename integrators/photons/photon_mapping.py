@@ -10,7 +10,7 @@ import drjit as dr
 from djpt.core.records import BSDFFlags, SurfaceInteraction3f, has_flag
 from djpt.description.properties import Properties
 from djpt.errors import RenderError
-from djpt.integrators.bidirectional.splatting import SplattingIntegrator
+from djpt.integrators.bidirectional.strategies import SplattingIntegrator
 from djpt.integrators.photons import Photon, PhotonMap, PhotonStore
 from djpt.integrators.photons.photon import bytes_of, require_memory
 from djpt.jit.frozen import recording
@@ -47,7 +47,7 @@ class PhotonMapping(SplattingIntegrator):
     default 2/3; 1 keeps the radius).
 
     The first radius is such that the points that some camera rays see have `crowd` photons around them on average, but
-    at most 1/72 of the width of what the picture shows there (`djpt.rendering.schedules.first_radius`). It doesn't
+    at most 1/72 of the width of what the picture shows there (`djpt.rendering.schedules.photons`). It doesn't
     depend on the seed or on the samples per pixel.
 
     T. Hachisuka and H. W. Jensen, "Stochastic Progressive Photon Mapping", 2009; C. Knaus and M. Zwicker, "Progressive

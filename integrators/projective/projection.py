@@ -14,7 +14,7 @@ import drjit as dr
 from djpt.core.records import RAY_EPSILON, DiscontinuityFlags, Ray3f, RayFlags, SurfaceInteraction3f
 from djpt.errors import RenderError
 from djpt.jit.types import PCG32, Bool, Float, Point3f, UInt32, UInt64
-from djpt.shapes.shape_type import ShapeType
+from djpt.shapes.mitsuba_api import ShapeType
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
 __all__ = ["ProjectOperation"]

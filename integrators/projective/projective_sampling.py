@@ -13,8 +13,7 @@ from djpt.integrators.ad_integrator import RBIntegrator, attached, modes, propag
 from djpt.integrators.projective.detail import ProjectiveDetail
 from djpt.jit.types import Bool, Color3f, Float, Point2f, TensorXf, UInt32
 from djpt.samplers.base import Sampler
-from djpt.scene.arguments import find_sensor
-from djpt.scene.scene import Scene
+from djpt.scene.scene import Scene, find_sensor
 from djpt.sensors.base import Sensor
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 

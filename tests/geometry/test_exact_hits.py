@@ -19,7 +19,7 @@ import pytest
 
 import djpt
 from djpt.core.transforms import ScalarTransform4f as T
-from djpt.geometry.recentre import recentre
+from djpt.geometry.query import recentre
 from djpt.jit.types import Float, Point2f, Point3f, TensorXf, Vector3f
 from djpt.shapes.axes import ProjectedRay
 from tests.kit.axes import unit

@@ -17,7 +17,7 @@ import djpt
 from djpt.core.transforms import ScalarTransform4f as T
 from djpt.errors import DjptError, FileError, SceneError
 from djpt.jit.llvm.host import HostFunctions
-from djpt.shapes.mesh_file import MeshFile
+from djpt.shapes.mesh import MeshFile
 from djpt.shapes.meshes import normals, obj
 from djpt.shapes.meshes.data import MeshData
 from djpt.shapes.meshes.normal_functions import PARAMETERS, add_normal_functions

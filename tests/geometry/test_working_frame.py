@@ -17,7 +17,7 @@ from djpt.core.transforms import ScalarTransform4f as T
 from djpt.description import registry
 from djpt.description.plugin import NotMovable
 from djpt.jit.types import Float, Point2f, Point3f, TensorXf, Vector3f
-from djpt.scene.normalization.frame import WorkingFrame
+from djpt.scene.normalization.normalized_scene import WorkingFrame
 from djpt.scene.normalization.plugin_copies import PluginCopies
 from djpt.shapes.axes import AxisPool
 from tests.kit.emitters import SETS, entry

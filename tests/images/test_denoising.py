@@ -13,7 +13,7 @@ import pytest
 import djpt
 from djpt.apps.cli.main import app
 from djpt.rendering.denoising.filtering import Guides, denoise_pixels
-from djpt.rendering.denoising.guides import render_guides
+from djpt.rendering.denoising.rendered import render_guides
 from djpt.rendering.settings import RenderSettings
 
 needs_wheel = pytest.mark.skipif(importlib.util.find_spec("mitsuba_oidn") is None, reason="needs mitsuba-oidn")

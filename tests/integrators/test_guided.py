@@ -12,8 +12,7 @@ import djpt
 from djpt.core.records import BSDFContext, Ray3f
 from djpt.core.warp import direction_at, place_of
 from djpt.errors import RenderError, SceneError
-from djpt.integrators.guiding.cells import HALVINGS, SIDES, Cells, Leaves
-from djpt.integrators.guiding.guide import SQUARES, Guide
+from djpt.integrators.guiding.guide import HALVINGS, SIDES, SQUARES, Cells, Guide, Leaves
 from djpt.jit.types import Normal3f, Point2f, Point3f, UInt32, Vector3f
 from djpt.rendering.image import make_job
 from djpt.rendering.schedules.learning import JobTrainingPaths

@@ -11,7 +11,7 @@ import pytest
 import djpt
 from djpt.core.transforms import ScalarTransform4f as T
 from djpt.errors import RenderError, SceneError
-from djpt.integrators.markov.mutations import FINEST, step
+from djpt.integrators.markov.chains import FINEST, step
 from djpt.jit.types import PCG32, Float, UInt32
 from tests.kit.convergence import assert_converges_to_path, assert_equal_means, images
 from tests.kit.emitters import entry

@@ -11,7 +11,7 @@ import pytest
 
 import djpt
 from djpt.description.properties import Properties
-from djpt.rendering.denoising.guides import GuideIntegrator
+from djpt.rendering.denoising.rendered import GuideIntegrator
 from tests.kit.kernels import kernels
 from tests.kit.mesh_scenes import gallery
 from tests.kit.renders import box, pixels, spheres

@@ -11,7 +11,7 @@ import pytest
 from scipy.stats import chi2, kstest
 
 import djpt
-from djpt.emitters.bounds import LightBounds
+from djpt.emitters.base import LightBounds
 from djpt.emitters.light_samplers import LIGHT_SAMPLERS, make_light_sampler
 from djpt.emitters.light_samplers.tree import TreeLightSampler
 

@@ -14,7 +14,7 @@ import pytest
 import djpt
 from djpt.core.interruption import interruptible
 from djpt.errors import RenderError
-from djpt.rendering.progressive import multi_pixel_lanes
+from djpt.rendering.progressive import rounds
 from djpt.rendering.progressive.rounds import round_seed
 from djpt.scene.scene import Scene
 
@@ -81,7 +81,7 @@ def test_every_integrator_goes_on(integrator: dict[str, Any]) -> None:
 def test_recorded_rounds_are_plain_renders(sampler: str, rfilter: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also where lanes compute several pixels."""
     scene = box(sampler, rfilter, size=64)
-    monkeypatch.setattr(multi_pixel_lanes, "LANES", 2**12 // (4 * dr.thread_count()))
+    monkeypatch.setattr(rounds, "LANES", 2**12 // (4 * dr.thread_count()))
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
         dr.kernel_history_clear()
         found = last(scene, spp=20, round_spp=4, seed=5)

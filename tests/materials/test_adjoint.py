@@ -12,7 +12,7 @@ import djpt
 from djpt.core.frame import Frame3f
 from djpt.core.records import BSDFContext, BSDFFlags, SurfaceInteraction3f, TransportMode, has_flag
 from djpt.jit.types import Float, Normal3f, Point2f, Vector3f
-from djpt.materials.adjoint import eval_pdf_light, sample_light
+from djpt.materials.base import eval_pdf_light, sample_light
 from tests.kit.chi_squared import uniform
 from tests.kit.materials import bsdf, first_of_each, in_kernel, interaction
 

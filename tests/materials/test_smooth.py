@@ -13,8 +13,7 @@ import djpt
 from djpt.core.records import BSDFContext, BSDFFlags, TransportMode
 from djpt.core.transforms import ScalarTransform4f as T
 from djpt.jit.types import Float, Point2f, Vector3f
-from djpt.materials.ior import IOR
-from djpt.materials.metals import METALS
+from djpt.materials.ior import IOR, METALS
 from djpt.validation import agreement
 from tests.kit.renders import box, ours, theirs
 from tests.kit.smooth_materials import (

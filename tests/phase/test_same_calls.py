@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.phase.microflakes import sggx_pdf, sggx_projected_area, sggx_sample
+from djpt.phase.sggx import sggx_pdf, sggx_projected_area, sggx_sample
 from tests.kit.phases import FLAKES, PHASES, described, directions, interaction
 from tests.kit.same_calls import same
 

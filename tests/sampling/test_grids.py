@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from djpt.distributions import Hierarchical2D, grids
-from djpt.distributions.grid_functions import PARAMETERS, add_grid_functions
+from djpt.distributions.grids import PARAMETERS, add_grid_functions
 from djpt.jit.llvm.host import HostFunctions
 
 

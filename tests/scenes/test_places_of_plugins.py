@@ -16,7 +16,7 @@ import djpt
 from djpt.core.transforms import ScalarTransform4f as T
 from djpt.description.plugin import NotMovable
 from djpt.jit.types import Vector3f
-from djpt.scene.normalization.frame import WorkingFrame
+from djpt.scene.normalization.normalized_scene import WorkingFrame
 from djpt.scene.normalization.plugin_copies import PluginCopies
 from tests.kit.processes import ROOT
 

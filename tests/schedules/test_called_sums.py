@@ -11,8 +11,16 @@ from djpt.geometry.engines import chosen, ray_queries
 from djpt.jit.llvm.lanes import lane_count
 from djpt.jit.types import Bool, Float, Point2f, UInt32
 from djpt.rendering.schedules import flat
-from djpt.rendering.schedules.called_sums import CalledSums, proved, reader, usable
-from djpt.rendering.schedules.film_accumulation import CHANNELS, Taps, pieces, tap_function
+from djpt.rendering.schedules.called_sums import (
+    CHANNELS,
+    CalledSums,
+    Taps,
+    pieces,
+    proved,
+    reader,
+    tap_function,
+    usable,
+)
 from djpt.rendering.schedules.job import Job
 
 by_calls = pytest.mark.skipif(chosen() == "steps", reason="kernels can't call functions here")

@@ -87,7 +87,7 @@ FAULTS = (
     ),
     Fault(
         "light picked with a wrong probability",
-        "djpt.emitters.light_samplers.uniform:UniformLightSampler.choose",
+        "djpt.emitters.light_samplers.weighted:UniformLightSampler.choose",
         "Float(self.count)",
         "Float(self.count - 1)",
         "two lights",

@@ -11,7 +11,7 @@ import pytest
 
 import djpt
 from djpt.errors import FileError, SceneError
-from djpt.volumes.openvdb import read_openvdb
+from djpt.volumes.volume_grid import read_openvdb
 from tests.kit.openvdb import vdb_bytes
 
 NUMBERS = np.random.default_rng(0).random((10, 5, 12), dtype=np.float32) + 0.1

@@ -16,7 +16,7 @@ from djpt.core.files import as_path, check_target, writing
 from djpt.description.parameters import SceneParameters, traverse
 from djpt.errors import BackendError, FileError, ParameterError, near_miss
 from djpt.images.image import Image, check_writable, read_pixels, write
-from djpt.rendering.progressive.fingerprint import difference, fingerprint
+from djpt.rendering.progressive.checkpoint import difference, fingerprint
 from djpt.rendering.progressive.rounds import round_seed
 from djpt.rendering.render import render
 from djpt.rendering.settings import RenderSettings, check_count

@@ -144,7 +144,7 @@ def write(
     import djpt
     from djpt.apps.animation.frames import MOVIES, check_movie, render_frames, write_movie
     from djpt.apps.cli.pictures import Tone
-    from djpt.scene.arguments import find_sensor
+    from djpt.scene.scene import find_sensor
 
     if output.suffix.lower() in MOVIES and not output.is_dir():
         raise RenderError(f"-o takes a folder for the frames; the movie: --movie {output}")

@@ -26,8 +26,7 @@ from djpt.rendering.progress import Progress, watched
 from djpt.rendering.progressive.rounds import round_seed
 from djpt.rendering.render import render
 from djpt.rendering.settings import check_count, check_seed
-from djpt.scene.arguments import find_sensor
-from djpt.scene.scene import Scene
+from djpt.scene.scene import Scene, find_sensor
 
 __all__ = ["Optimization", "Progressed", "optimize", "order"]
 

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from djpt.emitters.base import Emitter
-from djpt.emitters.light_samplers.base import LightSampler
+from djpt.emitters.light_samplers.sampling import LightSampler
 
 __all__ = ["LIGHT_SAMPLERS", "LightSampler", "make_light_sampler"]
 
@@ -24,6 +24,6 @@ def make_light_sampler(name: str, emitters: Sequence[Emitter]) -> LightSampler:
         from djpt.emitters.light_samplers.weighted import WeightedLightSampler
 
         return WeightedLightSampler(emitters, by_power=name == "power")
-    from djpt.emitters.light_samplers.uniform import UniformLightSampler
+    from djpt.emitters.light_samplers.weighted import UniformLightSampler
 
     return UniformLightSampler(emitters)

@@ -10,13 +10,12 @@ import numpy as np
 
 from djpt.distributions.discrete import Discrete
 from djpt.emitters.base import Emitter
-from djpt.emitters.light_samplers.base import LightSampler
-from djpt.emitters.light_samplers.tree_build import LEAF, Lights, build
-from djpt.emitters.light_samplers.tree_nodes import children, pack
+from djpt.emitters.light_samplers.sampling import LightSampler
+from djpt.emitters.light_samplers.tree_build import LEAF, Lights, build, children, pack
 from djpt.errors import SceneError
 from djpt.jit.kernels import own_copy, while_loop
 from djpt.jit.types import Float, Point3f, UInt32, Vector3f
-from djpt.samplers.hashing import sample_tea_32
+from djpt.samplers.seeds import sample_tea_32
 
 __all__ = ["TreeLightSampler"]
 
@@ -42,7 +41,7 @@ class TreeLightSampler(LightSampler):
     """Emitters by descending a tree of lights, at every node to a child in proportion to its importance.
 
     Importance is estimated from a node's bounds for the point and the normal: see
-    `djpt.emitters.light_samplers.tree_nodes`. Light from infinity isn't in the tree: each such emitter, and the tree
+    `djpt.emitters.light_samplers.tree_build`. Light from infinity isn't in the tree: each such emitter, and the tree
     as a whole, are chosen by their `sampling_weight` (for the tree: the mean). Emitters whose power or weight is 0 are
     never chosen.
 

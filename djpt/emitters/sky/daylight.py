@@ -1,14 +1,13 @@
-"""The base of lights of the sky."""
+"""The base of lights of the sky, and what a sky is at an instant: radiance, and the sampling of directions."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import drjit as dr
-import numpy as np
-from numpy.typing import NDArray
 
 from djpt.core.frame import Frame3f
 from djpt.core.numeric import as_number, non_negative
@@ -22,26 +21,67 @@ from djpt.core.records import (
     SurfaceInteraction3f,
 )
 from djpt.core.warp import square_to_uniform_disk_concentric
-from djpt.description.plugin import ParamFlags, TraversalCallback
+from djpt.description.plugin import HIDDEN, ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.properties import bounds as within
-from djpt.emitters.bounds import LightBounds
+from djpt.emitters.base import InfiniteEmitter, beam
 from djpt.emitters.extent import number
 from djpt.emitters.oriented import OrientedEmitter
-from djpt.emitters.sky.disc import WAVELENGTHS, SunDisc
-from djpt.emitters.sky.instant import LUMINANCE, Instant
+from djpt.emitters.sky.directions import SkyDirections
+from djpt.emitters.sky.dome import WAVELENGTHS, SkyDome, SunDisc, squared_chord
 from djpt.emitters.sky.position import FARTHEST
 from djpt.errors import ParameterError
 from djpt.jit.frozen import recording
-from djpt.jit.kernels import as_float, as_vector
-from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, UInt32, Vector3f
+from djpt.jit.kernels import as_float, maximum
+from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, Vector3f
 
-__all__ = ["Daylight"]
+__all__ = ["LUMINANCE", "Daylight", "Instant"]
 
-HIDDEN = ParamFlags.NonDifferentiable
+LUMINANCE = 1 / 106.7502593994140625
+"""The inverse of the integral of the eye's sensitivity over wavelengths in nm: a spectrum of ones has luminance 1."""
 
 
-class Daylight(OrientedEmitter):
+@dataclass
+class Instant:
+    """The sky at an instant. Directions are those of the light's space, where z points up, of unit length."""
+
+    dome: SkyDome
+    disc: SunDisc
+    directions: SkyDirections
+    sky_fraction: Float
+    """The probability with which `sample` chooses the sky, not the sun."""
+    sky_scale: Float
+    sun_scale: Float
+
+    def is_day(self, local: Vector3f) -> Bool:
+        """True where light comes from a direction: it is above the horizon, and so is the sun."""
+        return (local.z >= 0) & (self.disc.direction.z >= 0)
+
+    def radiance(self, local: Vector3f, on_disc: Bool) -> Color3f:
+        """The radiance from a direction, in W m^-2 sr^-1 nm^-1; `on_disc` tells whether the sun is there."""
+        lit, cos_theta = self.is_day(local), maximum(local.z, Float(0))
+        chord2 = squared_chord(self.disc.direction, local)
+        sky = self.dome.radiance(cos_theta, chord2) * self.sky_scale
+        sun = self.disc.radiance(cos_theta, chord2, on_disc) * self.sun_scale
+        return dr.select(lit, (sky + dr.select(on_disc, sun, 0)) * LUMINANCE, 0)
+
+    def pdf(self, local: Vector3f, on_disc: Bool) -> Float:
+        """The density of `sample`, per unit solid angle."""
+        density = dr.lerp(dr.select(on_disc, self.disc.pdf(), 0), self.directions.pdf(local), self.sky_fraction)
+        return dr.select(self.is_day(local), density, 0)
+
+    def sample(self, sample: Point2f) -> tuple[Vector3f, Float, Float, Color3f]:
+        """Sample a direction, with its density per unit solid angle, 1 / density, and radiance."""
+        to_sky = sample.x < self.sky_fraction
+        rest = Point2f((sample.x - self.sky_fraction) / (1 - self.sky_fraction), sample.y)
+        sky = self.directions.sample(Point2f(sample.x / self.sky_fraction, sample.y))
+        local = dr.select(to_sky, sky, self.disc.sample(rest))
+        on_disc = ~to_sky | self.disc.covers(local)
+        pdf = self.pdf(local, on_disc)
+        return local, pdf, dr.select(pdf > 0, dr.rcp(pdf), 0), self.radiance(local, on_disc)
+
+
+class Daylight(InfiniteEmitter, OrientedEmitter):
     """The sky and the sun, which stands where a subclass says (`at`).
 
     In the light's space z points up, x to the south and y to the west, as in Mitsuba (a left-handed system). Radiance
@@ -61,6 +101,7 @@ class Daylight(OrientedEmitter):
         **OrientedEmitter.values,
         **dict.fromkeys(("center", "radius", "sky_scale", "sun_scale"), HIDDEN),
     }
+    m_flags = int(EmitterFlags.Infinite | EmitterFlags.SpatiallyVarying)
     children: ClassVar[tuple[str, ...]] = ("disc",)
     times_and_places: ClassVar[tuple[str, ...]] = ()
     """The parameters that are dates, times and angles: numbers up to `FARTHEST`."""
@@ -78,7 +119,6 @@ class Daylight(OrientedEmitter):
             raise props.error("albedo", "can't vary: it applies to all of the ground")
         aperture = props.float("sun_aperture", 0.5358, low=0.0, high=180.0, low_open=True, high_open=True)
         self.disc = SunDisc(aperture, props.boolean("complex_sun", False))
-        self.set_bounds(np.zeros(3), 1.0)
 
     # ---- parameters --------------------------------------------------------------------
 
@@ -101,17 +141,8 @@ class Daylight(OrientedEmitter):
 
     # ---- on the host -------------------------------------------------------------------
 
-    def flags(self, active: Bool | bool = True) -> int:
-        return int(EmitterFlags.Infinite | EmitterFlags.SpatiallyVarying)
-
-    def set_bounds(self, center: NDArray[np.float64], radius: float) -> None:
-        self.center, self.radius = as_vector(center), as_float(radius)
-
     def power(self) -> float:
         return number(self.irradiance) * WAVELENGTHS * LUMINANCE * math.pi * number(self.radius) ** 2
-
-    def bounds(self) -> LightBounds | None:
-        return None
 
     # ---- in kernels --------------------------------------------------------------------
 
@@ -128,20 +159,7 @@ class Daylight(OrientedEmitter):
     ) -> tuple[DirectionSample3f, Color3f]:
         time = it.time if isinstance(it, Interaction3f) else Float(0)
         local, pdf, weight, radiance = self.at(time).sample(sample)
-        d = self.local_to_world(local)
-        ds = DirectionSample3f.of(
-            # A stand-in for the point at infinity; visibility rays use `d` (see `Scene.shadow_ray`).
-            it.p + d,
-            -d,
-            Point2f(0),
-            d,
-            Float(dr.inf),
-            pdf,
-            weight,
-            Bool(False),
-            UInt32(0),
-        )
-        return ds, radiance * weight
+        return self.towards(it, self.local_to_world(local), Point2f(0), pdf, weight), radiance * weight
 
     def pdf_direction(self, it: Observer, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
         now, local = self.at(ds.time), self.world_to_local(ds.d)
@@ -160,17 +178,8 @@ class Daylight(OrientedEmitter):
         d = self.local_to_world(-local)
         across = Frame3f.from_normal(d).to_world(Vector3f(at.x, at.y, 0))
         area = math.pi * dr.square(self.radius)
-        return EmissionSample(
-            ray=Ray3f(dr.fma(across - d, self.radius, self.center), d),
-            weight=radiance * (weight * area),
-            n=d,
-            uv=Point2f(0),
-            cos=Float(1),
-            pdf_position=dr.rcp(area),
-            pdf_direction=pdf,
-            finite=Bool(False),
-            delta=Bool(False),
-        )
+        ray = Ray3f(dr.fma(across - d, self.radius, self.center), d)
+        return beam(ray, radiance * (weight * area), dr.rcp(area), pdf)
 
     def pdf_emission(self, d: Vector3f, n: Normal3f, uv: Point2f, active: Bool | bool = True) -> tuple[Float, Float]:
         now, local = self.at(Float(0)), self.world_to_local(-d)

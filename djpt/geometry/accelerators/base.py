@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from djpt.core.records import Ray3f
 from djpt.geometry.bvh.steps.traversal import reciprocal
-from djpt.geometry.recentre import enter
+from djpt.geometry.query import enter
 from djpt.geometry.triangle import RayPlane, intersect_triangle
 from djpt.jit.kernels import aligned, as_float, as_vector, maximum, minimum, wide
 from djpt.jit.types import ArrayXu, Bool, Float, Point3f, UInt32, Vector3f
 
-__all__ = ["NO_FACE", "Accelerator", "Approach", "Found", "Statistics", "TriangleTable"]
+__all__ = ["NO_FACE", "Accelerator", "Approach", "Found", "SearchedTable", "Statistics", "TriangleTable"]
 
 NO_FACE = 0xFFFFFFFF
 
@@ -131,3 +131,22 @@ class TriangleTable:
         hit = intersect_triangle(ray.plane, Point3f(words[0:3]), Point3f(words[3:6]), Point3f(words[6:9]))
         closer = hit.hit & (hit.t > 0) & (hit.t < found.t)
         return Found(dr.select(closer, hit.t, found.t), dr.select(closer, face, found.face))
+
+
+class SearchedTable:
+    """The queries of structures that search a `TriangleTable`."""
+
+    table: TriangleTable
+
+    def search(self, ray: Approach, any_hit: bool) -> Found:
+        """Look for the nearest hit of a ray, or for any."""
+        raise NotImplementedError
+
+    def closest(self, ray: Ray3f) -> tuple[Float, UInt32]:
+        """Distance and face of the first hit with 0 < t < maxt; infinity and 0 on a miss."""
+        approach = Approach(self.table, ray)
+        return approach.answer(self.search(approach, False))
+
+    def any_hit(self, ray: Ray3f) -> Bool:
+        """Whether there is a hit with 0 < t < maxt."""
+        return self.search(Approach(self.table, ray), True).face != NO_FACE

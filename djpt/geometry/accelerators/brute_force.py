@@ -8,10 +8,9 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.core.records import Ray3f
-from djpt.geometry.accelerators.base import NO_FACE, Approach, Found, Statistics, TriangleTable
+from djpt.geometry.accelerators.base import NO_FACE, Approach, Found, SearchedTable, Statistics, TriangleTable
 from djpt.jit.kernels import while_loop
-from djpt.jit.types import Bool, Float, UInt32
+from djpt.jit.types import Bool, UInt32
 
 __all__ = ["BruteForce", "closest_in_double"]
 
@@ -19,7 +18,7 @@ CHUNK = 1 << 20
 """Ray-triangle pairs that `closest_in_double` handles at a time."""
 
 
-class BruteForce:
+class BruteForce(SearchedTable):
     """A plain list of triangles, without any structure."""
 
     def __init__(self, corners: NDArray[np.float32]) -> None:
@@ -27,16 +26,7 @@ class BruteForce:
         self.table = TriangleTable(corners)
         self.seconds = time.perf_counter() - start
 
-    def closest(self, ray: Ray3f) -> tuple[Float, UInt32]:
-        """Distance and face of the first hit with 0 < t < maxt; infinity and 0 on a miss."""
-        approach = Approach(self.table, ray)
-        return approach.answer(self._search(approach, False))
-
-    def any_hit(self, ray: Ray3f) -> Bool:
-        """Whether there is a hit with 0 < t < maxt."""
-        return self._search(Approach(self.table, ray), True).face != NO_FACE
-
-    def _search(self, ray: Approach, any_hit: bool) -> Found:
+    def search(self, ray: Approach, any_hit: bool) -> Found:
         count = dr.opaque(UInt32, self.table.count)
         _, found = while_loop(
             (dr.zeros(UInt32, ray.lanes), ray.nothing_yet()),

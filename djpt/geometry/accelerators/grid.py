@@ -14,8 +14,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.core.records import Ray3f
-from djpt.geometry.accelerators.base import NO_FACE, Approach, Found, Statistics, TriangleTable
+from djpt.geometry.accelerators.base import NO_FACE, Approach, Found, SearchedTable, Statistics, TriangleTable
 from djpt.jit.kernels import as_vector, shared, while_loop, wide
 from djpt.jit.types import Bool, Float, UInt32
 
@@ -43,7 +42,7 @@ class Walk:
     active: Bool
 
 
-class UniformGrid:
+class UniformGrid(SearchedTable):
     """A grid of about `density` cells per triangle (J. Cleary and G. Wyvill, 1988, and others advise a few)."""
 
     def __init__(self, corners: NDArray[np.float32], density: float = 4.0) -> None:
@@ -73,18 +72,9 @@ class UniformGrid:
     ) -> NDArray[np.int64]:
         return np.clip(((points - low) / (high - low) * self.cells).astype(np.int64), 0, self.cells - 1)
 
-    def closest(self, ray: Ray3f) -> tuple[Float, UInt32]:
-        """Distance and face of the first hit with 0 < t < maxt; infinity and 0 on a miss."""
-        approach = Approach(self.table, ray)
-        return approach.answer(self._search(approach, False))
-
-    def any_hit(self, ray: Ray3f) -> Bool:
-        """Whether there is a hit with 0 < t < maxt."""
-        return self._search(Approach(self.table, ray), True).face != NO_FACE
-
     # ---- the walk --------------------------------------------------------------------
 
-    def _search(self, ray: Approach, any_hit: bool) -> Found:
+    def search(self, ray: Approach, any_hit: bool) -> Found:
         entry, leave = ray.through(self._low, self._high)
         begin = (ray.o + ray.d * entry - self._low) / self._size
         cell = [dr.clip(UInt32(dr.maximum(begin[a], 0)), 0, self._n[a] - 1) for a in range(3)]

@@ -18,8 +18,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.core.records import Ray3f
-from djpt.geometry.accelerators.base import NO_FACE, Approach, Found, Statistics, TriangleTable
+from djpt.geometry.accelerators.base import NO_FACE, Approach, Found, SearchedTable, Statistics, TriangleTable
 from djpt.jit.kernels import as_vector, shared, while_loop, wide
 from djpt.jit.types import ArrayXu, Bool, Float, UInt32
 
@@ -60,7 +59,7 @@ class Nodes:
         return np.bincount(self.segment, minlength=len(self.low))
 
 
-class KdTree:
+class KdTree(SearchedTable):
     """A kd-tree over triangles."""
 
     def __init__(self, corners: NDArray[np.float32]) -> None:
@@ -114,16 +113,7 @@ class KdTree:
 
     # ---- queries ---------------------------------------------------------------------
 
-    def closest(self, ray: Ray3f) -> tuple[Float, UInt32]:
-        """Distance and face of the first hit with 0 < t < maxt; infinity and 0 on a miss."""
-        approach = Approach(self.table, ray)
-        return approach.answer(self._search(approach, False))
-
-    def any_hit(self, ray: Ray3f) -> Bool:
-        """Whether there is a hit with 0 < t < maxt."""
-        return self._search(Approach(self.table, ray), True).face != NO_FACE
-
-    def _search(self, ray: Approach, any_hit: bool) -> Found:
+    def search(self, ray: Approach, any_hit: bool) -> Found:
         enter, leave = ray.through(self._low, self._high)
 
         def visit(begin: Float, found: Found, active: Bool) -> tuple[Float, Found, Bool]:

@@ -15,7 +15,7 @@ import drjit as dr
 
 from djpt.core.records import Ray3f
 from djpt.integrators.bdpt import JOINED, BidirectionalPath
-from djpt.integrators.bidirectional.light_paths import vertices
+from djpt.integrators.bidirectional.subpath import vertices
 from djpt.jit.kernels import loop_traced_once, while_loop, wide
 from djpt.jit.types import Bool, Color3f, Float, UInt32
 from djpt.rendering.gradients.gradient_sums import (

@@ -26,7 +26,6 @@ from djpt.jit.types import Bool, Color3f, Float, TensorXf, UInt32
 from djpt.rendering.gradients.leaves import Accumulator, Numbering, Parameter, Tangents
 from djpt.rendering.gradients.modes import Forward, Mode, Reverse
 from djpt.rendering.schedules.base import ModeOf, Schedule
-from djpt.rendering.schedules.canvas import image_of_rows
 from djpt.rendering.schedules.job import Band, Job
 from djpt.rendering.schedules.passes import (
     image_of_samples,
@@ -38,7 +37,7 @@ from djpt.rendering.schedules.passes import (
     stored_rows,
     summed_rows,
 )
-from djpt.rendering.schedules.reconstruction import add_samples, collected, sample_adjoints
+from djpt.rendering.schedules.reconstruction import add_samples, collected, image_of_rows, sample_adjoints
 from djpt.rendering.schedules.sinks import blank_sums, sample_buffers
 
 __all__ = [

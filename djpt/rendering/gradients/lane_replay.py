@@ -13,8 +13,7 @@ from typing import Any
 import drjit as dr
 
 from djpt.core.records import Ray3f
-from djpt.integrators.base import PathIntegrator
-from djpt.integrators.paths.trace_path import trace_path
+from djpt.integrators.base import PathIntegrator, trace_path
 from djpt.integrators.volpath import VolumetricPathState
 from djpt.jit.kernels import loop_traced_once, wide
 from djpt.jit.types import Bool, Color3f, Point3f, UInt32, Vector3f

@@ -21,11 +21,10 @@ from djpt.rendering.gradients.leaves import Parameter
 from djpt.rendering.gradients.light_replay import nothing, walk_light_paths
 from djpt.rendering.gradients.own_rendering import attached_view
 from djpt.rendering.gradients.traced_light import TracedLight
-from djpt.rendering.schedules.canvas import image_of_rows, picture
 from djpt.rendering.schedules.job import Band, Job
 from djpt.rendering.schedules.lanes import grouped
 from djpt.rendering.schedules.passes import ranges, stored_passes, stored_rows
-from djpt.rendering.schedules.reconstruction import sample_adjoints
+from djpt.rendering.schedules.reconstruction import image_of_rows, picture, sample_adjoints
 from djpt.rendering.schedules.wave import Wave
 from djpt.scene.scene import Scene
 

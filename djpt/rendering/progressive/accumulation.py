@@ -16,7 +16,7 @@ from djpt.core.color import LUMINANCE
 from djpt.errors import RenderError
 from djpt.jit.types import TensorXf
 from djpt.rendering.progressive import checkpoint
-from djpt.rendering.progressive.fingerprint import Fingerprint, difference, versions
+from djpt.rendering.progressive.checkpoint import Fingerprint, difference, versions
 from djpt.rendering.progressive.tiles import MOST, Counts, Tiles, TileSums, half_of, is_survey, shares, surveys
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ class Accumulation:
     software: str = field(default_factory=versions)
     """The versions of djpt and Dr.Jit that its rounds come from: see `versions`."""
     fingerprint: Fingerprint
-    """The fingerprint of the render: see `djpt.rendering.progressive.fingerprint`."""
+    """The fingerprint of the render: see `djpt.rendering.progressive.checkpoint`."""
     channels: tuple[str, ...]
     """The names of the image's channels."""
     round_spp: int

@@ -27,9 +27,8 @@ from djpt.rendering.image import make_job, require_still
 from djpt.rendering.progressive.rounds import constant_of, inputs, round_seed
 from djpt.rendering.progressive.tiles import Counts, Tiles, TileSums
 from djpt.rendering.schedules.base import Schedule
-from djpt.rendering.schedules.called_sums import reader, usable
+from djpt.rendering.schedules.called_sums import Taps, reader, usable
 from djpt.rendering.schedules.choice import choose
-from djpt.rendering.schedules.film_accumulation import Taps
 from djpt.rendering.schedules.flat import Flat, called_film_sums
 from djpt.rendering.schedules.job import Band, Job
 from djpt.rendering.schedules.memory import check_memory

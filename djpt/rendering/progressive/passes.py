@@ -20,7 +20,7 @@ from djpt.rendering.image import channel_names
 from djpt.rendering.progress import Progress
 from djpt.rendering.progressive.accumulation import Accumulation, AdaptiveAccumulation, EvenAccumulation
 from djpt.rendering.progressive.adaptive_rounds import AdaptiveRounds
-from djpt.rendering.progressive.fingerprint import fingerprint, versions
+from djpt.rendering.progressive.checkpoint import fingerprint, versions
 from djpt.rendering.progressive.rounds import Rounds, round_seed
 from djpt.rendering.progressive.tiles import FIRST, is_survey
 from djpt.rendering.settings import RenderSettings, check_count
@@ -229,7 +229,7 @@ class RoundImage(ABC):
 
     @cached_property
     def fingerprint(self) -> dict[str, str]:
-        """The fingerprint: see `djpt.rendering.progressive.fingerprint`."""
+        """The fingerprint: see `djpt.rendering.progressive.checkpoint`."""
         return fingerprint(self.scene, self.settings.sensor, self.settings.integrator)
 
     @property

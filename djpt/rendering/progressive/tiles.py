@@ -21,18 +21,7 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-__all__ = [
-    "FIRST",
-    "LEAST",
-    "MOST",
-    "Counts",
-    "TileSums",
-    "Tiles",
-    "half_of",
-    "is_survey",
-    "shares",
-    "surveys",
-]
+__all__ = ["FIRST", "LEAST", "MOST", "Counts", "TileSums", "Tiles", "half_of", "is_survey", "shares", "surveys"]
 
 SIDE = 8
 """The maximum width and height of a tile: small enough to isolate noise, large enough to estimate its variance."""

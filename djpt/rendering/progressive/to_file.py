@@ -24,11 +24,11 @@ from djpt.jit.kernels import begin_trace
 from djpt.rendering.gradients.own_rendering import image_by_itself
 from djpt.rendering.image import centres, channel_names, make_job, require_still
 from djpt.rendering.progress import Progress, watched
-from djpt.rendering.schedules.canvas import strips_of_rows
 from djpt.rendering.schedules.choice import choose
 from djpt.rendering.schedules.job import Job
 from djpt.rendering.schedules.memory import check_memory
 from djpt.rendering.schedules.passes import SUMMED_PIXELS
+from djpt.rendering.schedules.reconstruction import strips_of_rows
 from djpt.rendering.settings import RenderSettings
 from djpt.scene.scene import Scene
 from djpt.version import __version__

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from djpt.dispatch.ensemble import Detached
 from djpt.errors import RenderError
 from djpt.jit.types import Float, TensorXf, UInt32
-from djpt.rendering.schedules.canvas import Summed, image_of_rows
 from djpt.rendering.schedules.job import Band, Job
 from djpt.rendering.schedules.passes import stored_rows
+from djpt.rendering.schedules.reconstruction import Summed, image_of_rows
 
 if TYPE_CHECKING:
     from djpt.rendering.gradients.leaves import Numbering

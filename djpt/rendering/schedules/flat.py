@@ -24,13 +24,11 @@ from djpt.jit.kernels import wide
 from djpt.jit.llvm.lanes import small_blocks
 from djpt.jit.types import Bool, Color3f, Float, Point2f, UInt32
 from djpt.rendering.schedules.base import ModeOf, Schedule
-from djpt.rendering.schedules.called_sums import CalledSums, reader, usable
-from djpt.rendering.schedules.canvas import Summed
-from djpt.rendering.schedules.film_accumulation import Taps
+from djpt.rendering.schedules.called_sums import CalledSums, Taps, reader, usable
 from djpt.rendering.schedules.job import Band, Job
 from djpt.rendering.schedules.lanes import Lanes, interleaved, layered
 from djpt.rendering.schedules.passes import filtered_rows, summed_rows
-from djpt.rendering.schedules.reconstruction import Rows, by_pixels, collect
+from djpt.rendering.schedules.reconstruction import Rows, Summed, by_pixels, collect
 from djpt.rendering.schedules.sinks import (
     CalledFilmSums,
     FilmSums,

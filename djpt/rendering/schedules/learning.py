@@ -11,17 +11,17 @@ import drjit as dr
 from djpt.core.records import Ray3f
 from djpt.description.properties import Properties
 from djpt.errors import RenderError
-from djpt.integrators.guiding.learning import LearningIntegrator
+from djpt.integrators.guiding.training import LearningIntegrator
 from djpt.jit.frozen import recording
 from djpt.jit.types import UInt32
 from djpt.rendering.schedules.base import Schedule
-from djpt.rendering.schedules.canvas import Summed
 from djpt.rendering.schedules.choice import choose
 from djpt.rendering.schedules.job import Job
 from djpt.rendering.schedules.passes import report
+from djpt.rendering.schedules.reconstruction import Summed
 from djpt.samplers import SampleIndex, SampleStream
-from djpt.samplers.hashing import sample_tea_32
 from djpt.samplers.independent import Independent
+from djpt.samplers.seeds import sample_tea_32
 
 __all__ = ["Learning"]
 
@@ -56,7 +56,7 @@ def trained(job: Job) -> Job:
 
 
 class JobTrainingPaths:
-    """A job as a `LearningIntegrator` sees it: see `djpt.integrators.guiding.learning.TrainingPaths`."""
+    """A job as a `LearningIntegrator` sees it: see `djpt.integrators.guiding.training.TrainingPaths`."""
 
     def __init__(self, job: Job) -> None:
         self._job = job
@@ -66,7 +66,7 @@ class JobTrainingPaths:
         self.scene, self.samples = job.scene, job.samples
 
     def begin(self, first: int, end: int) -> tuple[SampleStream, Ray3f]:
-        """Random numbers and camera rays, see `djpt.integrators.guiding.learning.TrainingPaths`."""
+        """Random numbers and camera rays, see `djpt.integrators.guiding.training.TrainingPaths`."""
         job = self._job
         number = dr.arange(UInt32, end - first) + dr.opaque(UInt32, first)
         pixel: Any = dr.mul_hi(number * GOLDEN, dr.opaque(UInt32, job.width * job.height))

@@ -27,13 +27,13 @@ from djpt.jit.kernels import if_stmt, while_loop, wide
 from djpt.jit.types import Bool, Color3f, Float, UInt32
 from djpt.media.tracking import Track
 from djpt.rendering.schedules.base import Schedule
-from djpt.rendering.schedules.canvas import Summed
 from djpt.rendering.schedules.flat import Flat
 from djpt.rendering.schedules.job import Band, Job
 from djpt.rendering.schedules.lanes import TiledLanes
 from djpt.rendering.schedules.machine import aligned_frame, store
+from djpt.rendering.schedules.reconstruction import Summed
 from djpt.rendering.schedules.sinks import Write, sample_buffers
-from djpt.scene.media_trackers import Trackers
+from djpt.scene.media_placement import Trackers
 
 __all__ = ["MediaMachine"]
 

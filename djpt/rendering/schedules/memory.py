@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from djpt.core.memory import RESERVE, free_memory, shortage
 from djpt.errors import RenderError
-from djpt.rendering.schedules.film_accumulation import CHANNELS
+from djpt.rendering.schedules.called_sums import CHANNELS
 from djpt.rendering.schedules.job import Job
 from djpt.rendering.schedules.lanes import lanes_per_pixel
 from djpt.rendering.schedules.reconstruction import by_pixels

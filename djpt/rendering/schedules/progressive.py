@@ -3,24 +3,101 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
 
 from djpt.core.records import Ray3f, SurfaceInteraction3f
 from djpt.integrators.paths.passes import LightPath, PassIntegrator
-from djpt.jit.types import Bool, Point2f, TensorXf
+from djpt.jit.kernels import while_loop, wide
+from djpt.jit.types import Bool, Point2f, TensorXf, UInt32
 from djpt.rendering.schedules.base import Schedule
-from djpt.rendering.schedules.canvas import picture
 from djpt.rendering.schedules.job import Job
-from djpt.rendering.schedules.light_walk import walk_light
-from djpt.rendering.schedules.pace import Pace
-from djpt.rendering.schedules.passes import ends_here, one_ahead, report
+from djpt.rendering.schedules.passes import Pace, ends_here, one_ahead, report
+from djpt.rendering.schedules.reconstruction import picture
 from djpt.rendering.schedules.wave import Wave
 from djpt.samplers import SampleStream
 
-__all__ = ["Progressive"]
+__all__ = ["Lane", "Progressive", "follow", "lanes", "walk_light"]
+
+LANES = 2**16
+
+
+@dataclass
+class Lane:
+    """Loop state."""
+
+    path: Any
+    sampler: Any
+    number: UInt32
+    """The number of the path, among all that are followed."""
+
+
+def lanes(count: int) -> UInt32:
+    """As many lanes as follow `count` light paths, with the numbers of their first ones: 0, 1, .."""
+    return dr.arange(UInt32, min(LANES, count))
+
+
+def follow(
+    numbers: UInt32,
+    end: int,
+    fresh: Callable[[UInt32], tuple[Any, Any]],
+    step: Callable[[Lane], tuple[Any, Bool]],
+    sinks: Any,
+    label: str,
+) -> None:
+    """Follow light paths with consecutive numbers, from the first of each of the `lanes` up to `end`, exclusive.
+
+    `fresh` gives a path's random numbers and its state as it leaves a light, any PyTree; `step` traces the next edge,
+    and returns the path that goes on and whether it does. Kernels write to `sinks` (any PyTree of Dr.Jit arrays),
+    which are evaluated.
+    """
+    width = dr.width(numbers)
+    stop, stride = dr.opaque(UInt32, end), dr.opaque(UInt32, width)
+    sampler, path = fresh(numbers)
+
+    def body(lane: Lane) -> tuple[Lane]:
+        path, goes_on = step(lane)
+        number = dr.select(goes_on, lane.number, lane.number + stride)
+        sampler, new = fresh(number)
+        return (Lane(dr.select(goes_on, path, new), dr.select(goes_on, lane.sampler, sampler), number),)
+
+    state = Lane(wide(path, width), sampler, numbers)
+    (done,) = while_loop((state,), lambda lane: lane.number < stop, body, label=label)
+    dr.eval(done.number, sinks)
+
+
+def walk_light(
+    job: Job,
+    start: Callable[[SampleStream], LightPath],
+    vertex: Callable[[SampleStream, LightPath, SurfaceInteraction3f], tuple[LightPath, Bool]],
+    sinks: Any,
+    begin: int,
+    end: int,
+) -> None:
+    """Follow `begin` <= k < `end` light paths for each pixel of the crop window.
+
+    `start` gives a path that leaves a light; `vertex` processes a hit (or miss) of its ray, adds what there is to
+    add to the `sinks`, and returns the path that goes on and whether it does. Absorption by media is included in the
+    flux that arrives at a vertex. Kernels write to `sinks` (any PyTree of Dr.Jit arrays), which are evaluated.
+    """
+    scene = job.scene
+    width, height = job.film.crop_size()
+
+    def fresh(number: UInt32) -> tuple[SampleStream, LightPath]:
+        sampler = job.stream(number // job.spp_value, number % job.spp_value)
+        return sampler, start(sampler)
+
+    def step(lane: Lane) -> tuple[LightPath, Bool]:
+        ray = lane.path.ray
+        si = scene.surface_interaction(ray, scene.closest_hit(ray), full=scene.needs_uv)
+        arriving = replace(lane.path, flux=lane.path.flux * scene.media.transmittance(ray, si.t))
+        return vertex(lane.sampler, arriving, si)
+
+    begin, end = begin * width * height, end * width * height
+    follow(lanes(end - begin) + dr.opaque(UInt32, begin), end, fresh, step, sinks, "light")
+
 
 PASS_PATHS = 2**24
 """The number of paths of one pass: about a second on two cores."""
@@ -73,5 +150,5 @@ class JobWalks:
         begin: int,
         end: int,
     ) -> None:
-        """Follow `begin` <= k < `end` light paths per pixel: see `djpt.rendering.schedules.light_walk.walk_light`."""
+        """Follow `begin` <= k < `end` light paths per pixel: see `djpt.rendering.schedules.progressive.walk_light`."""
         walk_light(self._job, start, vertex, sinks, begin, end)

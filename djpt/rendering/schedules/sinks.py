@@ -20,18 +20,7 @@ from djpt.rendering.schedules.called_sums import CalledSums
 from djpt.rendering.schedules.job import Band, Job
 from djpt.rendering.schedules.reconstruction import add_taps
 
-__all__ = [
-    "CalledFilmSums",
-    "FilmSink",
-    "FilmSums",
-    "Finished",
-    "Sink",
-    "Store",
-    "Sums",
-    "Write",
-    "blank_sums",
-    "sample_buffers",
-]
+__all__ = ["CalledFilmSums", "FilmSums", "Finished", "Sink", "Store", "Sums", "Write", "blank_sums", "sample_buffers"]
 
 
 def blank_sums(lanes: int, count: int) -> list[Float]:

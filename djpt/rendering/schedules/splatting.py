@@ -6,13 +6,13 @@ import drjit as dr
 
 from djpt.films.footprint import Splats
 from djpt.integrators.base import Integrator
-from djpt.integrators.bidirectional.splatting import SplattingIntegrator
+from djpt.integrators.bidirectional.strategies import SplattingIntegrator
 from djpt.jit.types import Bool, Color3f, Float, TensorXf, UInt32
 from djpt.rendering.schedules.base import Schedule
-from djpt.rendering.schedules.canvas import image_of_rows, picture
 from djpt.rendering.schedules.job import Band, Job
 from djpt.rendering.schedules.lanes import grouped
 from djpt.rendering.schedules.passes import stored_rows
+from djpt.rendering.schedules.reconstruction import image_of_rows, picture
 
 __all__ = ["SplattedSamples", "Splatting"]
 

@@ -12,11 +12,11 @@ from collections.abc import Iterator
 import drjit as dr
 
 from djpt.jit.types import Bool, Color3f, Float, UInt32
-from djpt.rendering.schedules.canvas import Summed
 from djpt.rendering.schedules.flat import Flat
 from djpt.rendering.schedules.job import Band, Job
 from djpt.rendering.schedules.lanes import grouped
 from djpt.rendering.schedules.passes import stored_rows
+from djpt.rendering.schedules.reconstruction import Summed
 
 __all__ = ["Wave"]
 

@@ -15,9 +15,9 @@ import drjit as dr
 from djpt.core.records import Ray3f
 from djpt.jit.kernels import wide
 from djpt.jit.types import Bool, Color3f, Float, Point2f, UInt32
-from djpt.rendering.schedules.canvas import Summed
 from djpt.rendering.schedules.job import Band, Job
 from djpt.rendering.schedules.passes import stored_rows
+from djpt.rendering.schedules.reconstruction import Summed
 from djpt.rendering.schedules.wave import Wave
 from djpt.samplers import Sampler
 

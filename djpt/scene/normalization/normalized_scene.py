@@ -1,21 +1,124 @@
-"""The copy of a scene in its working frame, which is rendered in its place."""
+"""The working frame of a scene, about the size of 4 about the origin, and the copy that is rendered in its place."""
 
 from __future__ import annotations
 
 import copy
+import math
+from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from djpt.core.transforms import ScalarTransform4f
 from djpt.description.plugin import NotMovable
+from djpt.geometry.aggregate import unseen
 from djpt.jit.frozen import recording
-from djpt.jit.kernels import may_wait
-from djpt.scene.normalization.frame import working_frame
+from djpt.jit.kernels import as_float, as_vector, may_wait
+from djpt.jit.types import Float, Point3f
+from djpt.shapes.instance import Instance
 
 if TYPE_CHECKING:
     from djpt.scene.normalization.plugin_copies import PluginCopies
     from djpt.scene.scene import Scene
     from djpt.sensors import Sensor
 
-__all__ = ["normalized", "normalized_scene"]
+__all__ = ["Units", "WorkingFrame", "normalized", "normalized_scene", "working_frame"]
+
+SMALLEST, LARGEST = 0.25, 2.0**17
+"""Scenes whose bounding box has a diagonal within these bounds are rendered at their own scale."""
+SMALLEST_DETAIL = 2.0**-6
+"""The least diagonal of the smaller half of the shapes in such a scene."""
+FAR = 8
+"""A scene is far away if its smaller half is further from the origin than so many of that half's diagonals: rays then
+start 2^-10 of its size off surfaces, which hides a thousandth of the light."""
+UNIT = 4.0
+"""The diagonal of the smaller half of a scaled scene, up to a factor of sqrt(2): that of a ball of radius 1, nearly."""
+MANY = 256
+"""Of more shapes only the box about all is looked at."""
+
+
+@dataclass(frozen=True)
+class WorkingFrame:
+    """The map p -> scale (p - center) from the scene's own coordinates; computed in double precision."""
+
+    scale: float
+    """A power of two, so that it rounds nothing."""
+    center: tuple[float, float, float]
+
+    @cached_property
+    def transform(self) -> ScalarTransform4f:
+        """The map as a transform."""
+        return ScalarTransform4f().scale(self.scale).translate([-x for x in self.center])
+
+    def point(self, p: Any) -> NDArray[np.float64]:
+        """Points (3,) or (N, 3) of the scene, in the frame."""
+        return self.scale * (np.asarray(p, np.float64) - np.array(self.center))
+
+
+def working_frame(scene: Scene) -> WorkingFrame | None:
+    """The frame that a scene should be rendered in, or None if its own coordinates will do.
+
+    Two numbers decide: the diagonal of the box about all shapes, and where the smaller half of them is (by number;
+    those that don't shine, if there are such). The detail is there, so the frame has its origin there and its unit is
+    about a quarter of the size of that half. An endless plane says nothing of either.
+    """
+    boxes, shining = bounded(scene)
+    if not len(boxes):
+        return None
+    whole, detail = around(boxes), around(smaller_half(boxes if shining.all() else boxes[~shining]))
+    size, unit = (float(np.linalg.norm(box[1] - box[0])) for box in (whole, detail))
+    center = 0.5 * (detail[0] + detail[1])
+    far = float(np.abs(center).max()) > FAR * unit
+    usual = size >= SMALLEST and SMALLEST_DETAIL <= unit <= LARGEST
+    if not unit > 0 or not (far or not usual):
+        return None
+    scale = 1.0 if usual else math.ldexp(1.0, -round(math.log2(unit / UNIT)))
+    return WorkingFrame(scale, tuple(center.tolist()) if far else (0.0, 0.0, 0.0))
+
+
+def bounded(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """The boxes (N, 2, 3) about the shapes that rays hit, without endless ones, and which shine.
+
+    Of many shapes there is one box, about all.
+    """
+    shapes = [shape for shape in scene.shapes() if isinstance(shape, Instance) or not unseen(shape)]
+    if len(shapes) > MANY:
+        boxes, shining = np.array([scene.geometry.bounding_box()]), np.array([False])
+    else:
+        boxes = np.array([shape.world_box() for shape in shapes]).reshape(-1, 2, 3)
+        shining = np.array([shape.emitter() is not None for shape in shapes], bool)
+    finite = np.isfinite(boxes).all(axis=(1, 2))
+    return boxes[finite], shining[finite]
+
+
+def around(boxes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The box about all boxes."""
+    return np.array([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
+
+
+def smaller_half(boxes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The boxes that are no larger than the median; of two the smaller one."""
+    sizes = np.linalg.norm(boxes[:, 1] - boxes[:, 0], axis=1)
+    return boxes[sizes <= np.sort(sizes)[(len(sizes) - 1) // 2]]
+
+
+class Units:
+    """The inverse of a `WorkingFrame`, in kernels."""
+
+    def __init__(self, frame: WorkingFrame) -> None:
+        self._unit, self._center = as_float(1 / frame.scale), as_vector(np.array(frame.center))
+
+    def length(self, x: Float) -> Float:
+        """A length."""
+        return x * self._unit
+
+    def point(self, p: Point3f) -> Point3f:
+        """A point."""
+        return dr.fma(p, self._unit, self._center)
+
 
 COPIED = ("shape", "emitter")
 """The kinds of plugins of which a normalized scene has copies of its own from the beginning."""
@@ -53,7 +156,6 @@ def made(scene: Scene) -> tuple[PluginCopies, Scene] | None:
         return None
     # Most scenes don't need these.
     from djpt.scene.normalization.plugin_copies import PluginCopies
-    from djpt.scene.normalization.units import Units
 
     copies = PluginCopies(frame)
     view = copy.copy(scene)

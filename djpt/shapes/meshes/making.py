@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from djpt.core.numeric import as_integer, describe
 from djpt.description.properties import Properties
 from djpt.errors import ParameterError, SceneError
-from djpt.shapes.meshes.cleaning import check_indices
-from djpt.shapes.meshes.data import MeshData
+from djpt.shapes.meshes.data import MeshData, check_indices
 
 __all__ = ["Edits", "check_prefix", "index_rows", "of_arrays", "of_zeros", "rows"]
 

@@ -20,7 +20,7 @@ from djpt.core.frame import Frame3f, coordinate_system
 from djpt.errors import SceneError, near_miss
 from djpt.jit.kernels import float_in, own_copy
 from djpt.jit.types import ArrayXu, Bool, Float, Point2f, Point3f, UInt32, Vector3f
-from djpt.shapes.surface import Surface
+from djpt.shapes.base import Surface
 
 if TYPE_CHECKING:
     from djpt.shapes.mesh import Mesh

@@ -8,9 +8,10 @@ Greg Turk, "The PLY Polygon File Format", 1994.
 
 from __future__ import annotations
 
+import struct
 import warnings
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,9 @@ TYPES = {
     **dict.fromkeys(("double", "float64"), "f8"),
 }
 ORDERS = {"ascii": None, "binary_little_endian": "<", "binary_big_endian": ">"}
+
+CODES = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "i8": "q", "u8": "Q", "f8": "d"}
+"""The codes of the module `struct` for the types that lengths of lists have here."""
 
 COUNT = "length of "
 """Prefix of a list's length in the layout of rows; no property's name has blanks."""
@@ -87,7 +91,7 @@ def read_elements(data: bytes, where: str) -> list[Element]:
         SceneError: not a PLY file, a header that can't be understood, a file that is cut short.
     """
     elements, order, body, line = read_header(data, where)
-    rows: Rows = TextRows(data[body:], line, where) if order is None else BinaryRows(data, body, order, where)
+    rows = TextRows(data[body:], line, where) if order is None else Rows(data, body, order, where)
     for element in elements:
         if len({p.name for p in element.properties}) < len(element.properties):
             raise SceneError(f"{where}: the element '{element.name}' declares a property twice")
@@ -151,27 +155,13 @@ def read_property(words: list[str], at: str) -> Property:
 
 
 class Rows:
-    """The body of a file, read element by element."""
-
-    def read(self, element: Element) -> None:
-        """Fill the element's columns."""
-        raise NotImplementedError
-
-    def is_left(self) -> bool:
-        """Whether the file holds more than was declared."""
-        return False
-
-    def explain(self, elements: list[Element]) -> None:
-        """Raise a more exact error about a wrong file, if one is found."""
-
-
-class BinaryRows(Rows):
-    """A binary body."""
+    """The body of a binary file, read element by element."""
 
     def __init__(self, data: bytes, position: int, order: str, where: str) -> None:
         self.data, self.position, self.order, self.where = data, position, order, where
 
     def read(self, element: Element) -> None:
+        """Fill the element's columns."""
         lengths: dict[str, int] = {}
         if element.count and any(p.count_type for p in element.properties):
             # Lists nearly always have the same length: suppose so, and check it.
@@ -190,17 +180,32 @@ class BinaryRows(Rows):
             self._cut_short(element, (len(self.data) - self.position) // layout.itemsize)
         self._walk(element)
 
+    def is_left(self) -> bool:
+        """Whether the file holds more than was declared, and that may be a mistake."""
+        return False
+
+    def explain(self, elements: list[Element]) -> None:
+        """Raise a more exact error about a wrong file, if one is found."""
+
+    def _type(self, code: str) -> str:
+        """NumPy's code of numbers of a declared type, with their byte order."""
+        return self.order + code
+
+    def _length(self, value: float, element: Element, row: int) -> int:
+        """The length of a list by the number before it."""
+        if value < 0:
+            self._cut_short(element, row)
+        return int(value)
+
     def _layout(self, element: Element, lengths: dict[str, int]) -> np.dtype[np.void]:
         """The type of a row whose lists have the given lengths."""
         fields: list[tuple[str, str] | tuple[str, str, tuple[int]]] = []
         for p in element.properties:
             if p.count_type:
-                fields += [
-                    (COUNT + p.name, self.order + p.count_type),
-                    (p.name, self.order + p.type, (lengths.get(p.name, 0),)),
-                ]
+                fields.append((COUNT + p.name, self._type(p.count_type)))
+                fields.append((p.name, self._type(p.type), (lengths.get(p.name, 0),)))
             else:
-                fields.append((p.name, self.order + p.type))
+                fields.append((p.name, self._type(p.type)))
         return np.dtype(fields)
 
     def _lengths_at(self, element: Element, position: int) -> dict[str, int]:
@@ -208,13 +213,13 @@ class BinaryRows(Rows):
         lengths = {}
         for p in element.properties:
             if p.count_type:
-                size = np.dtype(p.count_type).itemsize
-                if position + size > len(self.data):
+                counted = np.dtype(self._type(p.count_type))
+                if position + counted.itemsize > len(self.data):
                     self._cut_short(element, 0)
-                lengths[p.name] = int(np.frombuffer(self.data, self.order + p.count_type, 1, position)[0])
-                position += size
-            position += np.dtype(p.type).itemsize * lengths.get(p.name, 1)
-        if min(lengths.values()) < 0 or position > len(self.data):
+                lengths[p.name] = self._length(np.frombuffer(self.data, counted, 1, position)[0], element, 0)
+                position += counted.itemsize
+            position += np.dtype(self._type(p.type)).itemsize * lengths.get(p.name, 1)
+        if position > len(self.data):
             self._cut_short(element, 0)
         return lengths
 
@@ -222,40 +227,44 @@ class BinaryRows(Rows):
         """Read rows one by one: their lists differ in length."""
         parts: dict[str, list[bytes]] = {p.name: [] for p in element.properties}
         counts: dict[str, list[int]] = {p.name: [] for p in element.properties if p.count_type}
-        data, position = self.data, self.position
-        order = "little" if self.order == "<" else "big"
-        plan = [
-            (p.name, np.dtype(p.type).itemsize, np.dtype(p.count_type).itemsize if p.count_type else 0)
-            for p in element.properties
-        ]
+        data, position, total = self.data, self.position, len(self.data)
+        plan = []
+        for p in element.properties:
+            counted = np.dtype(self._type(p.count_type)) if p.count_type else None
+            number = struct.Struct(counted.str[0].replace("|", "<") + CODES[counted.str[1:]]) if counted else None
+            plan.append((p.name, np.dtype(self._type(p.type)).itemsize, number))
         for row in range(element.count):
-            for name, size, count_size in plan:
-                if count_size:
-                    count = int.from_bytes(data[position : position + count_size], order)  # type: ignore[arg-type]
+            for name, size, number in plan:
+                if number is not None:
+                    inside = position + number.size <= total
+                    count = self._length(number.unpack_from(data, position)[0], element, row) if inside else 0
                     counts[name].append(count)
-                    position, size = position + count_size, size * count
+                    position, size = position + number.size, size * count
                 parts[name].append(data[position : position + size])
                 position += size
-            if position > len(data):
+            if position > total:
                 self._cut_short(element, row)
         self.position = position
         for p in element.properties:
-            values = np.frombuffer(b"".join(parts[p.name]), self.order + p.type)
+            values = np.frombuffer(b"".join(parts[p.name]), self._type(p.type))
             element.columns[p.name] = Column(values, np.array(counts[p.name]) if p.count_type else None)
 
-    def _cut_short(self, element: Element, row: int) -> None:
+    def _cut_short(self, element: Element, row: int) -> NoReturn:
         raise SceneError(
-            f"{self.where}, byte {len(self.data)}: the file is cut short, in row {row} of {element.count} "
+            f"{self.where}, {self._end()}: the file is cut short, in row {row} of {element.count} "
             f"of the element '{element.name}'"
         )
 
+    def _end(self) -> str:
+        return f"byte {len(self.data)}"
+
 
 class TextRows(Rows):
-    """An ascii body: numbers, wherever lines end."""
+    """An ascii body: numbers, wherever lines end. As doubles they are a binary body."""
 
     def __init__(self, text: bytes, line: int, where: str) -> None:
         self.text, self.line, self.where = text, line, where
-        self.values, self.position = self._numbers(), 0
+        super().__init__(self._numbers().tobytes(), 0, "<", where)
 
     def _numbers(self) -> NDArray[np.float64]:
         with warnings.catch_warnings():
@@ -275,79 +284,16 @@ class TextRows(Rows):
         # Python accepts a few spellings that NumPy doesn't, such as 1_000.
         return np.array(self.text.split(), np.float64)
 
-    def read(self, element: Element) -> None:
-        lists = [p for p in element.properties if p.count_type]
-        if not lists or not element.count:
-            self._read_table(element, {})
-            return
-        lengths, width = {}, 0
-        for p in element.properties:
-            if p.count_type:
-                if self.position + width >= len(self.values):
-                    self._cut_short(element, 0)
-                lengths[p.name] = self._length(self.position + width, element, 0)
-                width += lengths[p.name]
-            width += 1
-        table = self.values[self.position :][: width * element.count]
-        offset, uniform = 0, len(table) == width * element.count
-        for p in element.properties:
-            if p.count_type and uniform:
-                uniform = bool((table[offset::width] == lengths[p.name]).all())
-            offset += 1 + lengths.get(p.name, 0)
-        if uniform:
-            self._read_table(element, lengths)
-        else:
-            self._walk(element)
+    def _type(self, code: str) -> str:
+        return "<f8"
 
-    def _length(self, position: int, element: Element, row: int) -> int:
-        """The length of the list that begins at a position."""
-        value = float(self.values[position])
+    def _length(self, value: float, element: Element, row: int) -> int:
         if not (value >= 0 and value.is_integer()):
             raise SceneError(f"{self.where}: row {row} of the element '{element.name}' has a list of {value:g} entries")
         return int(value)
 
-    def _read_table(self, element: Element, lengths: dict[str, int]) -> None:
-        """Read rows of equal width."""
-        width = sum(1 + lengths.get(p.name, 0) for p in element.properties)
-        left = len(self.values) - self.position
-        if left < width * element.count:
-            self._cut_short(element, left // width)
-        table = self.values[self.position :][: width * element.count].reshape(element.count, width)
-        self.position += width * element.count
-        offset = 0
-        for p in element.properties:
-            if p.count_type:
-                length = lengths.get(p.name, 0)
-                values = table[:, offset + 1 : offset + 1 + length].ravel()
-                element.columns[p.name] = Column(values, np.full(element.count, length))
-                offset += 1 + length
-            else:
-                element.columns[p.name] = Column(table[:, offset])
-                offset += 1
-
-    def _walk(self, element: Element) -> None:
-        """Read rows one by one: their lists differ in length."""
-        parts: dict[str, list[NDArray[np.float64]]] = {p.name: [] for p in element.properties}
-        counts: dict[str, list[int]] = {p.name: [] for p in element.properties if p.count_type}
-        position, total = self.position, len(self.values)
-        for row in range(element.count):
-            for p in element.properties:
-                size = 1
-                if p.count_type:
-                    size = self._length(position, element, row) if position < total else 0
-                    counts[p.name].append(size)
-                    position += 1
-                parts[p.name].append(self.values[position : position + size])
-                position += size
-            if position > total:
-                self._cut_short(element, row)
-        self.position = position
-        for p in element.properties:
-            column = Column(np.concatenate(parts[p.name]), np.array(counts[p.name]) if p.count_type else None)
-            element.columns[p.name] = column
-
     def is_left(self) -> bool:
-        return self.position < len(self.values)
+        return self.position < len(self.data)
 
     def explain(self, elements: list[Element]) -> None:
         # Usually each row has a line of its own: the first of another length is the wrong one.
@@ -364,9 +310,6 @@ class TextRows(Rows):
                     f"{wanted} numbers, found {len(words)}"
                 )
 
-    def _cut_short(self, element: Element, row: int) -> None:
-        line = self.line + self.text.rstrip().count(b"\n")
-        raise SceneError(
-            f"{self.where}, line {line}: the file is cut short, in row {row} of {element.count} "
-            f"of the element '{element.name}'"
-        )
+    def _end(self) -> str:
+        last = self.line + self.text.rstrip().count(b"\n")
+        return f"line {last}"

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from djpt.core.limits import MAX_NAME
 from djpt.errors import SceneError
-from djpt.shapes.meshes.cleaning import check_indices
-from djpt.shapes.meshes.data import MeshData
+from djpt.shapes.meshes.data import MeshData, check_indices
 
 __all__ = ["read_serialized"]
 

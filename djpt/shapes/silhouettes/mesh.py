@@ -16,7 +16,7 @@ from djpt.core.warp import (
     uniform_sphere_to_square,
     uniform_spherical_lune_to_square,
 )
-from djpt.distributions.weights import Weights
+from djpt.distributions.discrete import Weights
 from djpt.jit.types import Bool, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
 from djpt.shapes.silhouettes.base import (
     INSET,

@@ -23,8 +23,7 @@ from djpt.geometry.bvh.calls.ray import Features
 from djpt.geometry.bvh.calls.rings import ring_functions
 from djpt.geometry.bvh.calls.traversal import ANY_OF_PACKET, CLOSEST_OF_PACKET, packet_functions
 from djpt.geometry.bvh.leaves import Extent, MeshPart, PlacedLeaves
-from djpt.geometry.query import NONE, Found
-from djpt.geometry.recentre import enter
+from djpt.geometry.query import NONE, Found, enter
 from djpt.jit.kernels import aligned, as_float, as_vector
 from djpt.jit.llvm.calls import Code, call, reason_against
 from djpt.jit.llvm.compiler import compiled

@@ -19,8 +19,7 @@ from djpt.geometry.bvh.build.wide import REBUILD, WideTree, collapse, grown, ref
 from djpt.geometry.bvh.leaves import Extent, MeshPart, MixedLeaves, PlacedLeaves, TriangleLeaves
 from djpt.geometry.bvh.steps.records import EMPTY, WORDS, Leaves, Records, extent_of, pack, roots
 from djpt.geometry.bvh.steps.traversal import Cursor, load, load_second, start, triangle_corners, turn, visit
-from djpt.geometry.query import Found
-from djpt.geometry.recentre import enter
+from djpt.geometry.query import Found, enter
 from djpt.jit.kernels import if_stmt, while_loop, wide
 from djpt.jit.types import ArrayXf, Bool, Float, Point3f, UInt32, Vector3f
 

@@ -9,8 +9,7 @@ import drjit as dr
 from djpt.description.properties import Properties
 from djpt.dispatch.ensemble import Attached
 from djpt.integrators.ad_integrator import RBIntegrator
-from djpt.integrators.base import PathIntegrator
-from djpt.integrators.paths.trace_path import trace_path
+from djpt.integrators.base import PathIntegrator, trace_path
 from djpt.integrators.prb import PRB
 from djpt.integrators.prb_basic import PRBBasic
 from djpt.jit.types import Bool, Color3f, Float

@@ -14,7 +14,7 @@ from djpt.description.loader import load_dict
 from djpt.description.properties import Properties
 from djpt.errors import ArgumentError, RenderError
 from djpt.jit.types import Bool, Color3f, Float, Point2f, TensorXf, UInt32
-from djpt.samplers.permutation import permute_kensler
+from djpt.samplers.seeds import permute_kensler
 from djpt.sensors.base import Sensor
 from djpt.sensors.group import SensorGroup
 
