@@ -22,14 +22,15 @@ import drjit as dr  # noqa: E402
 
 from tests.kit.lanes import lanes_from_environment  # noqa: E402
 from tests.kit.registered import only_here  # noqa: E402
+from tests.kit.threads import threads  # noqa: E402
 
 skip_passes()
 lanes_from_environment()
 
-# Processes that run tests side by side (`pytest -n`) share the processors. With a single thread Mitsuba waits for ever
-# for the second when it reads an EXR file.
+# Processes that run tests side by side (`pytest -n`) share the processors: threads in excess of them take time from the
+# others, since they watch for work between kernels.
 if "PYTEST_XDIST_WORKER_COUNT" in os.environ:
-    dr.set_thread_count(max(2, (os.cpu_count() or 1) // int(os.environ["PYTEST_XDIST_WORKER_COUNT"])))
+    dr.set_thread_count(max(1, (os.cpu_count() or 1) // int(os.environ["PYTEST_XDIST_WORKER_COUNT"])))
 
 
 # Shells start what runs in the background without the signal that some tests send.
@@ -80,6 +81,13 @@ def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.Tes
 def plugins_of_a_file() -> Iterator[None]:
     """Keep the plugins that a file's tests register from those of other files."""
     with only_here():
+        yield
+
+
+@pytest.fixture
+def second_thread() -> Iterator[None]:
+    """For tests in which Mitsuba reads or writes EXR files: with a single thread it waits for ever for a second."""
+    with threads(max(2, dr.thread_count())):
         yield
 
 

@@ -155,8 +155,8 @@ def test_methods_are_mitsubas(rows: int, columns: int, keys: dict[str, Any]) -> 
 
 @pytest.mark.parametrize("integrator", ["path", "direct"])
 def test_compensated_image(tmp_path: Path, integrator: str) -> None:
-    djpt.write(tmp_path / "sky.exr", texels(16, 33, "gradient"))
-    sky = {"type": "envmap", "filename": str(tmp_path / "sky.exr"), "mis_compensation": True, "scale": 0.2}
+    djpt.write(tmp_path / "sky.pfm", texels(16, 33, "gradient"))
+    sky = {"type": "envmap", "filename": str(tmp_path / "sky.pfm"), "mis_compensation": True, "scale": 0.2}
     scene = floor_scene({"light": sky}, integrator={"type": integrator})
     assert agreement(ours(scene, 8, 1), theirs(scene, 8, 1), 1e-3).share > 0.99
 

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import drjit as dr
 import numpy as np
 import pytest
 
@@ -16,16 +13,7 @@ from djpt.geometry.engines import ray_queries
 from djpt.validation import agreement
 from tests.kit.mesh_scenes import PATH, gallery, uv_texture
 from tests.kit.renders import pixels, theirs
-
-
-@contextmanager
-def threads(count: int) -> Iterator[None]:
-    before = dr.thread_count()
-    dr.set_thread_count(count)
-    try:
-        yield
-    finally:
-        dr.set_thread_count(before)
+from tests.kit.threads import threads
 
 
 @pytest.fixture(scope="module")
