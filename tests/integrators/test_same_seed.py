@@ -80,6 +80,7 @@ INTEGRATORS: dict[str, dict[str, Any]] = {
 }
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("integrator", INTEGRATORS.values(), ids=INTEGRATORS)
 def test_integrators(integrator: dict[str, Any]) -> None:
     overlapping(box(64, "box", integrator))
@@ -152,11 +153,13 @@ LIT = [
 ]
 
 
+@pytest.mark.sparse(5)
 @pytest.mark.parametrize(("names", "integrator"), LIT)
 def test_lights(names: tuple[str, ...], integrator: dict[str, Any]) -> None:
     overlapping(box(64, "box", integrator, lights(*names)))
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("hide", [False, True], ids=["", "hidden"])
 @pytest.mark.parametrize("name", ["path", "prb", "direct", "depth"])
 def test_alpha_under_the_sky(name: str, hide: bool) -> None:

@@ -61,7 +61,7 @@ def scene_of(light: dict[str, Any] | str) -> Any:
 
 @pytest.mark.parametrize("light", lights())
 class TestDirections:
-    @pytest.mark.sparse(5)
+    @pytest.mark.sparse(14)
     def test_directions_follow_the_density(self, light: dict[str, Any] | str) -> None:
         """Of the directions that bring light: what light sampling draws is what a ray in that direction finds."""
         scene = scene_of(light)
@@ -85,6 +85,7 @@ class TestDirections:
         assert integral <= 1 + 5e-3
         assert p > SIGNIFICANCE
 
+    @pytest.mark.sparse(3)
     def test_weights_are_radiance_over_density(self, light: dict[str, Any] | str) -> None:
         scene = scene_of(light)
         ds, weight = scene.sample_emitter_direction(reference(), Point2f(*uniform(4096, seed=3)), False)
@@ -286,6 +287,7 @@ def test_rays_are_mitsubas(name: str) -> None:
     assert agree.mean() > 0.998
 
 
+@pytest.mark.sparse(5)
 @pytest.mark.parametrize("name", [name for name in NAMES if name not in HIDDEN])
 def test_rays_bring_the_light_that_is_sampled(name: str) -> None:
     """What a disk of the ground receives: by rays from the light, and by directions towards the light."""

@@ -33,7 +33,7 @@ sys.exit(3)
 WORK = {
     "render": "djpt.render(scene, spp=64)",
     "numpy": "np.array(djpt.render(scene, spp=256))",
-    "rounds": "list(djpt.render_passes(scene, spp=2048))",
+    "rounds": "list(djpt.render_passes(scene, spp=512))",
     "to_file": "djpt.render_to_file(scene, 'a.exr', spp=64)",
 }
 

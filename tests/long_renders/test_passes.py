@@ -35,6 +35,7 @@ def last(scene: Scene, **options: Any) -> djpt.Accumulation:
     return result
 
 
+@pytest.mark.sparse(4)
 @pytest.mark.parametrize("sampler", SAMPLERS)
 @pytest.mark.parametrize("rfilter", ["box", "gaussian"])
 def test_going_on_gives_the_bits_of_a_longer_render(sampler: str, rfilter: str) -> None:
@@ -102,6 +103,7 @@ def test_the_image_is_the_mean_of_the_rounds() -> None:
     np.testing.assert_allclose(last(scene, spp=24, round_spp=8, seed=9).image().numpy(), np.mean(rounds, 0), rtol=1e-6)
 
 
+@pytest.mark.sparse(4)
 @pytest.mark.parametrize("sampler", SAMPLERS)
 @pytest.mark.parametrize("rfilter", ["box", "gaussian"])
 def test_a_last_round_is_smaller(sampler: str, rfilter: str) -> None:

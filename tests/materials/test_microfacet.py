@@ -76,6 +76,7 @@ class TestAgainstMitsuba:
             for found, expected in pairs:
                 assert share_beyond(found, expected, 1e-4, 1e-7) == 0
 
+    @pytest.mark.sparse(4)
     @pytest.mark.parametrize("visible", [True, False])
     def test_samples(self, kind: str, alpha: tuple[float, float], visible: bool) -> None:
         wi, sample = hemisphere(4), numbers(2, 5)

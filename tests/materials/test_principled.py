@@ -115,7 +115,7 @@ def test_an_image_has_mitsubas_pixels() -> None:
 # ---------------------------------------------------------------- sampling
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(10)
 @pytest.mark.parametrize("wi", WI.values(), ids=WI)
 @pytest.mark.parametrize("values", [pytest.param(v, id=name) for name, v in {**OPAQUE, **CLEAR}.items()])
 def test_samples_follow_the_density(values: dict[str, Any], wi: Any) -> None:
@@ -171,6 +171,7 @@ ENDS: list[dict[str, Any]] = [
 ]  # fmt: skip
 
 
+@pytest.mark.sparse(4)
 @pytest.mark.parametrize("color", [0.0, 1.0, [1.0, 0.0, 0.0]])
 @pytest.mark.parametrize("values", ENDS)
 def test_nothing_is_undefined_at_the_ends(values: dict[str, Any], color: Any) -> None:

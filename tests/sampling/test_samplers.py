@@ -77,6 +77,7 @@ def singles(description: dict[str, Any], count: int, grid: int = 1, draws: int =
 # ---------------------------------------------------------------- Mitsuba
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("spp", [1, 3, 10, 17, 100])
 @every(*MITSUBAS)
 def test_numbers_are_mitsubas(description: dict[str, Any], spp: int) -> None:
@@ -304,6 +305,7 @@ def test_passes_do_not_change_a_bit(description: dict[str, Any], schedule: str) 
     np.testing.assert_array_equal(pixels(whole), pixels(parts))
 
 
+@pytest.mark.sparse(5)
 @every(*[d if len(d) == 1 or d == BLUE else pytest.param(d, marks=pytest.mark.slow) for d in ALL])
 def test_schedules_agree(description: dict[str, Any]) -> None:
     """Flat and wave; and with a mesh machine and wave. A filter and a border as well."""
@@ -318,6 +320,7 @@ def test_schedules_agree(description: dict[str, Any]) -> None:
     np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-4)
 
 
+@pytest.mark.sparse(2)
 @every()
 def test_gradients_are_those_of_the_image(description: dict[str, Any]) -> None:
     scene = djpt.load_dict(floor_scene(size=8, sampler=description))

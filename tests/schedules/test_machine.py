@@ -61,6 +61,7 @@ KINDS: dict[str, dict[str, Any]] = {
 SLOW = ("gaussian", "odd, box", "crop", "one bounce", "lamp", "point")
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("kind", [pytest.param(k, marks=pytest.mark.slow if k in SLOW else ()) for k in KINDS])
 def test_schedules_agree(folder: Path, kind: str) -> None:
     scene = djpt.load_dict(gallery(folder, **KINDS[kind]))
@@ -116,6 +117,7 @@ def test_nothing_in_sight(folder: Path) -> None:
 # ---------------------------------------------------------------- against Mitsuba
 
 
+@pytest.mark.sparse(4)
 @pytest.mark.parametrize("spp", [1, 3, 33])
 @pytest.mark.parametrize("kind", ["box", "odd, gaussian", "crop, gaussian, border"])
 def test_pixels_of_mitsuba(folder: Path, kind: str, spp: int) -> None:
@@ -125,6 +127,7 @@ def test_pixels_of_mitsuba(folder: Path, kind: str, spp: int) -> None:
     close(image, theirs(description, spp, 2), 0.95 if "gaussian" in kind else 0.985, 1e-3)
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("kind", ["hidden", "rgba", "prb", "lamp", "sky", "one bounce"])
 def test_more_pixels_of_mitsuba(folder: Path, kind: str) -> None:
     pytest.importorskip("mitsuba")

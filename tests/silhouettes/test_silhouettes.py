@@ -99,6 +99,7 @@ def sample_flags(name: str) -> list[int]:
     return {"sphere": [INTERIOR, PERIMETER], "cylinder": [PERIMETER, INTERIOR]}.get(name, [PERIMETER, INTERIOR])
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("name", [*ANALYTIC, "mesh"])
 def test_samples_are_mitsubas(name: str) -> None:
     ours, theirs = shape(djpt, name), shape(mi, name)
