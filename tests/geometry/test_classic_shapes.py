@@ -72,6 +72,7 @@ def test_partials_are_the_change_of_position_with_uv(name: str) -> None:
     assert np.quantile(error, 0.9) < 0.03
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("flip", [False, True])
 @pytest.mark.parametrize("name", SHAPES)
 def test_flipping_turns_the_normals_round(name: str, flip: bool) -> None:

@@ -74,6 +74,7 @@ def test_furnace_by_direct_light(furnace: Callable[..., Keys]) -> None:
         check(render(furnace(0.7), {"type": "direct", **samples}, 2, 512), 1.7, NEAR)
 
 
+@pytest.mark.sparse(4)
 @pytest.mark.parametrize("integrator", [*BY_CHANCE, *BY_LIGHT_SAMPLES[:-1]], ids=str)
 def test_bounces_of_a_furnace(integrator: Keys) -> None:
     """Light that was scattered k times: a^k."""

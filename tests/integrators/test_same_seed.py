@@ -104,6 +104,7 @@ def test_shape_index_tells_shapes_apart() -> None:
     assert len(pairs) == len({a for a, _ in pairs}) == len({b for _, b in pairs}) == 9
 
 
+@pytest.mark.sparse(2)
 @pytest.mark.parametrize("pixel_format", ["rgb", "rgba", "luminance"])
 @pytest.mark.parametrize("integrator", [PATH, {**PATH, "hide_emitters": True}], ids=["path", "hidden"])
 def test_pixel_formats(pixel_format: str, integrator: dict[str, Any]) -> None:

@@ -139,6 +139,7 @@ class TestEmission:
         if not from_surface(scene):
             np.testing.assert_array_equal(wide(es.n), wide(es.ray.d))
 
+    @pytest.mark.sparse(3)
     def test_a_hit_gives_the_arguments(self, source: dict[str, Any] | str) -> None:
         """Of a path that arrives from the other side: `DirectionSample3f.between`."""
         scene = scene_of(source)

@@ -105,6 +105,7 @@ class TestDirections:
         np.testing.assert_allclose(again[lit_up], pdf[lit_up], rtol=2e-3)
         np.testing.assert_allclose(inverse[lit_up], 1, rtol=1e-4)
 
+    @pytest.mark.sparse(3)
     def test_record_is_consistent(self, light: dict[str, Any] | str) -> None:
         scene = scene_of(light)
         ds, _ = scene.sample_emitter_direction(reference(), Point2f(*uniform(1024, seed=4)), False)
@@ -235,6 +236,7 @@ def rays_of(scene: Any, count: int = RAYS, seed: int = 0) -> tuple[Any, np.ndarr
     return ray, np.broadcast_to(in_numpy(weight), (3, count)), u
 
 
+@pytest.mark.sparse(4)
 @pytest.mark.parametrize("name", NAMES)
 def test_mean_weight_is_the_power(name: str) -> None:
     scene = room(entry(name))
@@ -265,6 +267,7 @@ def test_power_in_closed_form(name: str, expected: float) -> None:
     assert room(entry(name)).emitters()[0].power() == pytest.approx(expected, rel=2e-6)
 
 
+@pytest.mark.sparse(4)
 @pytest.mark.parametrize("name", [name for name in NAMES if name not in {*UNLIKE_MITSUBA, *RAYS_UNLIKE_MITSUBA}])
 def test_rays_are_mitsubas(name: str) -> None:
     mi = pytest.importorskip("mitsuba")

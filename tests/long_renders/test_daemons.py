@@ -48,6 +48,7 @@ def ended(work: str, seconds: float, folder: Path) -> tuple[int, str, str]:
     return done.returncode, done.stdout, done.stderr
 
 
+@pytest.mark.sparse(2)
 @pytest.mark.parametrize("name", WORK)
 def test_a_process_ends_while_a_daemon_thread_renders(name: str, tmp_path: Path) -> None:
     for seconds in (0.0, 0.05, 0.2):

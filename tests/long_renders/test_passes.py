@@ -314,6 +314,7 @@ def test_arrays_of_another_image_are_refused(adaptive: bool) -> None:
 # ---- errors ------------------------------------------------------------------------------
 
 
+@pytest.mark.sparse(2)
 @pytest.mark.parametrize("spp", [32, 26])
 def test_the_error_is_that_of_many_renders(spp: int) -> None:
     """Over 40 seeds the mean of the estimated squares is that of the true ones: their own errors are some percent."""

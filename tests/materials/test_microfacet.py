@@ -62,6 +62,7 @@ def share_beyond(found: Any, expected: Any, rtol: float, atol: float) -> float:
 @pytest.mark.parametrize("alpha", ALPHAS)
 @pytest.mark.parametrize("kind", KINDS)
 class TestAgainstMitsuba:
+    @pytest.mark.sparse(3)
     def test_density_and_shadowing(self, kind: str, alpha: tuple[float, float]) -> None:
         a, b = ours(kind, alpha), theirs(kind, alpha)
         wi, v = hemisphere(0), sphere(1)

@@ -88,6 +88,7 @@ def test_values_are_mitsubas(values: dict[str, Any], mode: int) -> None:
     compare_values(described(values), mode, sides=True if clear else lambda wi: wi[2] > 0)
 
 
+@pytest.mark.sparse(3)
 @MODES
 @pytest.mark.parametrize("values", CASES)
 def test_samples_are_mitsubas(values: dict[str, Any], mode: int) -> None:
@@ -181,6 +182,7 @@ def test_nothing_is_undefined_at_the_ends(values: dict[str, Any], color: Any) ->
     stays_finite({"type": "principled", **on, "base_color": base_color})
 
 
+@pytest.mark.sparse(2)
 @pytest.mark.parametrize("eta", [1e-3, 1.0, 20.0])
 def test_nothing_is_undefined_for_odd_interfaces(eta: float) -> None:
     values = {key: value for key, value in EVERYTHING.items() if key != "specular"}

@@ -110,6 +110,7 @@ def test_counts_are_mitsubas(name: str) -> None:
         assert sampler.round_count(sampler.round_count(spp)) == sampler.round_count(spp)
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("schedule", ["flat", "wave"])
 @pytest.mark.parametrize("name", ["stratified", "multijitter", "orthogonal", "ldsampler"])
 def test_pixels_are_mitsubas(name: str, schedule: str) -> None:
@@ -148,6 +149,7 @@ def test_numbers_are_uniform(description: dict[str, Any]) -> None:
         assert stats.chisquare(np.histogram(first, 16, (0, 1))[0]).pvalue > 1e-4
 
 
+@pytest.mark.sparse(4)
 @every(*[d for d in ALL if d != BLUE])
 def test_pixels_and_seeds_are_uncorrelated(description: dict[str, Any]) -> None:
     if description.get("strength"):
@@ -167,6 +169,7 @@ def test_dimensions_are_uncorrelated(description: dict[str, Any]) -> None:
     assert np.abs(np.corrcoef(table) - np.eye(12)).max() < 6 / np.sqrt(table.shape[1])
 
 
+@pytest.mark.sparse(2)
 @every()
 def test_a_clone_continues_on_its_own(description: dict[str, Any]) -> None:
     stream = streams(description, 16, 2)
@@ -285,6 +288,7 @@ def test_orthogonal_arrays_stratify_all_pairs() -> None:
 # ---------------------------------------------------------------- images
 
 
+@pytest.mark.sparse(2)
 @every()
 def test_new_seeds_and_counts_compile_nothing(description: dict[str, Any]) -> None:
     scene = djpt.load_dict(floor_scene(size=8, sampler=description))

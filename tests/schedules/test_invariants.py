@@ -184,6 +184,7 @@ def test_edits_compile_nothing(name: str) -> None:
     assert {key: count for key, count in found.items() if count} == {}
 
 
+@pytest.mark.sparse(4)
 @pytest.mark.parametrize("option", [{"spp": 1}, {"spp": 64}, {"pass_spp": 2}], ids=str)
 @pytest.mark.parametrize("name", WATCHED)
 def test_sample_counts_compile_nothing(name: str, option: dict[str, int]) -> None:

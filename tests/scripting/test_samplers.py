@@ -98,6 +98,7 @@ def sums(sampler: Any, rounds: Any) -> Any:
     return total
 
 
+@pytest.mark.sparse(5)
 @pytest.mark.parametrize("description", [*SAMPLERS, {"type": "sobol"}], ids=name_of)
 def test_loops_carry_a_sampler(description: dict[str, Any]) -> None:
     looped, unrolled = (djpt.load_dict({**description, "sample_count": 16}) for _ in range(2))
