@@ -40,12 +40,13 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 TESTS = Path(__file__).parent
 LONGEST = (
-    *("docs/test_pages", "gradients/test_images", "materials/test_sampling", "gradients/test_machine"),
-    *("integrators/test_agreement", "docs/test_readme", "commands/test_ladder_page", "schedules/test_invariants"),
-    *("lights/test_sampling", "lights/test_emission", "integrators/test_bdpt", "geometry/test_scale"),
-    *("integrators/test_light_tracing", "integrators/test_guided", "gradients/test_materials", "docs/test_examples"),
-    *("integrators/test_same_seed", "validation/test_statistics", "validation/test_compare", "geometry/test_instances"),
-    *("integrators/test_ladder", "cameras/test_same_seed", "lights/test_textured", "scenes/test_rewritings"),
+    *("validation/test_gradcheck", "gradients/test_materials", "materials/test_sampling", "docs/test_readme"),
+    *("integrators/test_same_seed", "docs/test_pages", "integrators/test_bdpt", "integrators/test_photon_mapping"),
+    *("commands/test_ladder_page", "integrators/test_guided", "gradients/test_images", "materials/test_principled"),
+    *("gradients/test_machine", "sampling/test_samplers", "integrators/test_light_tracing", "geometry/test_scale"),
+    *("validation/test_compare", "docs/test_examples", "lights/test_textured", "geometry/test_curves"),
+    *("integrators/test_statistics", "integrators/test_ladder", "scenes/test_rewritings", "optimization/test_optimize"),
+    *("long_renders/test_passes", "media/test_volpath"),
 )
 """The files that take longest. Processes side by side begin with them, and so end together."""
 
