@@ -188,7 +188,7 @@ def test_density_is_the_inverse_jacobian(name: str, wi: Any) -> None:
         assert np.mean(ratio < 1 - error) < 0.02
 
 
-@pytest.mark.sparse(4)
+@pytest.mark.sparse(9)
 @pytest.mark.parametrize("wi", WI.values(), ids=WI)
 @pytest.mark.parametrize("name", cases())
 def test_weights_are_values_over_densities(name: str, wi: Any) -> None:
@@ -215,7 +215,7 @@ BRIGHTER = {"principled-coated": 1.1, "principled-sheen": 1.04}
 """What reflects more than it receives, at low angles: coat and sheen are just added to what lies below."""
 
 
-@pytest.mark.sparse(4)
+@pytest.mark.sparse(9)
 @pytest.mark.parametrize("wi", WI.values(), ids=WI)
 @pytest.mark.parametrize("name", cases())
 def test_energy(name: str, wi: Any) -> None:

@@ -139,6 +139,7 @@ def test_textures_are_checked_by_directions_and_texels() -> None:
     assert sum(name.startswith("entry ") for name in names) == 4
 
 
+@pytest.mark.sparse(2)
 @pytest.mark.parametrize("data", ["white and black", "black"])
 def test_texels_at_the_ends_of_their_range(data: str) -> None:
     """Entries at an end change inwards only: a black texel, of three zeros, can't follow random signs."""
