@@ -41,7 +41,7 @@ render: $(READY)
 gallery: $(READY)
 	$(PY) -m djpt gallery -o gallery.png
 
-test: $(READY)  # kernels that compile in half the time, see tests/kit/quick_kernels.py
+test: $(READY)  # kernels that compile in a fraction of the time, see tests/kit/quick_kernels.py
 	DJPT_TEST_QUICK=1 $(PY) -m pytest -q $(SIDE_BY_SIDE)
 
 test-narrow: $(READY)

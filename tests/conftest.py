@@ -22,14 +22,15 @@ import drjit as dr  # noqa: E402
 
 from tests.kit.lanes import lanes_from_environment  # noqa: E402
 from tests.kit.registered import only_here  # noqa: E402
+from tests.kit.threads import threads  # noqa: E402
 
 skip_passes()
 lanes_from_environment()
 
-# Processes that run tests side by side (`pytest -n`) share the processors. With a single thread Mitsuba waits for ever
-# for the second when it reads an EXR file.
+# Processes that run tests side by side (`pytest -n`) share the processors: threads in excess of them take time from the
+# others, since they watch for work between kernels.
 if "PYTEST_XDIST_WORKER_COUNT" in os.environ:
-    dr.set_thread_count(max(2, (os.cpu_count() or 1) // int(os.environ["PYTEST_XDIST_WORKER_COUNT"])))
+    dr.set_thread_count(max(1, (os.cpu_count() or 1) // int(os.environ["PYTEST_XDIST_WORKER_COUNT"])))
 
 
 # Shells start what runs in the background without the signal that some tests send.
@@ -39,12 +40,13 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 TESTS = Path(__file__).parent
 LONGEST = (
-    *("docs/test_pages", "gradients/test_images", "materials/test_sampling", "gradients/test_machine"),
-    *("integrators/test_agreement", "docs/test_readme", "commands/test_ladder_page", "schedules/test_invariants"),
-    *("lights/test_sampling", "lights/test_emission", "integrators/test_bdpt", "geometry/test_scale"),
-    *("integrators/test_light_tracing", "integrators/test_guided", "gradients/test_materials", "docs/test_examples"),
-    *("integrators/test_same_seed", "validation/test_statistics", "validation/test_compare", "geometry/test_instances"),
-    *("integrators/test_ladder", "cameras/test_same_seed", "lights/test_textured", "scenes/test_rewritings"),
+    *("validation/test_gradcheck", "gradients/test_materials", "materials/test_sampling", "docs/test_readme"),
+    *("integrators/test_same_seed", "docs/test_pages", "integrators/test_bdpt", "integrators/test_photon_mapping"),
+    *("commands/test_ladder_page", "integrators/test_guided", "gradients/test_images", "materials/test_principled"),
+    *("gradients/test_machine", "sampling/test_samplers", "integrators/test_light_tracing", "geometry/test_scale"),
+    *("validation/test_compare", "docs/test_examples", "lights/test_textured", "geometry/test_curves"),
+    *("integrators/test_statistics", "integrators/test_ladder", "scenes/test_rewritings", "optimization/test_optimize"),
+    *("long_renders/test_passes", "media/test_volpath"),
 )
 """The files that take longest. Processes side by side begin with them, and so end together."""
 
@@ -80,6 +82,13 @@ def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.Tes
 def plugins_of_a_file() -> Iterator[None]:
     """Keep the plugins that a file's tests register from those of other files."""
     with only_here():
+        yield
+
+
+@pytest.fixture
+def second_thread() -> Iterator[None]:
+    """For tests in which Mitsuba reads or writes EXR files: with a single thread it waits for ever for a second."""
+    with threads(max(2, dr.thread_count())):
         yield
 
 

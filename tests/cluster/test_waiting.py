@@ -68,6 +68,7 @@ def test_addresses_that_are_none(kind: str, address: str, tmp_path: Path) -> Non
     assert err.splitlines()[-1].startswith("djpt: error: ")
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize("kind", ["render", "worker"])
 def test_signals_end_waiting_for_a_scheduler(kind: str, number: signal.Signals, tmp_path: Path) -> None:

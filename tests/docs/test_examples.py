@@ -83,6 +83,7 @@ def test_smoke_is_recovered_from_nothing() -> None:
     assert np.corrcoef(found.ravel(), truth.ravel())[0, 1] > 0.4
 
 
+@pytest.mark.slow
 def test_the_smoke_script_prints_the_loss_and_writes_a_picture(tmp_path: Any) -> None:
     picture = tmp_path / "smoke.png"
     options = {"--size": "16", "--resolution": "4", "--steps": "3", "--spp": "2"}

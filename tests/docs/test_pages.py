@@ -30,6 +30,7 @@ SMALLER = {"docs/guides/albedo-experiments.md": FEW}
 pytestmark = pytest.mark.skipif(not PAGES, reason="not a working copy of the repository")
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("page", [page for page in PAGES if snippets(page)])
 def test_the_code_of_a_page_runs(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     code = snippets(page)

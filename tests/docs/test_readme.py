@@ -67,6 +67,7 @@ def test_the_commands_are_understood(command: str) -> None:
         assert parsed.args == []
 
 
+@pytest.mark.sparse(2)
 @pytest.mark.parametrize(
     "command",
     [

@@ -17,7 +17,7 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="the limits are 
 
 @pytest.fixture(scope="module")
 def pool() -> Iterator[Pool]:
-    with Pool(seconds=2, wall=60) as made:
+    with Pool(seconds=1, wall=60) as made:
         yield made
 
 
@@ -27,7 +27,7 @@ def test_waiting_takes_no_processor_time(pool: Pool) -> None:
 
 def test_time_is_that_of_one_case(pool: Pool) -> None:
     """A process has used more than the time of a case after some."""
-    busy = "import time\nend = time.process_time() + 0.8\nwhile time.process_time() < end: pass"
+    busy = "import time\nend = time.process_time() + 0.4\nwhile time.process_time() < end: pass"
     assert [pool.run(Case(busy)).outcome for _ in range(4)] == ["fine"] * 4
 
 

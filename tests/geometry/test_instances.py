@@ -189,6 +189,7 @@ def test_surface_points_on_meshes(mi: Any, folder: Path, kind: str) -> None:
     compare(mi, row_of(meshes(folder)[kind], AFFINE), 5e-4)
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("kind", SHAPES)
 def test_surface_points_on_analytic_shapes(mi: Any, kind: str) -> None:
     """Mitsuba computes these in the group's space, with larger errors where the instance is small."""

@@ -126,6 +126,7 @@ def ray(o: Array, d: Array, maxt: Any = np.inf) -> Any:
 CASES = [(name, seed) for name in LOCAL for seed in range(3)]
 
 
+@pytest.mark.sparse(4)
 @pytest.mark.parametrize("kind", ["inside", "outside", "grazing"])
 @pytest.mark.parametrize(("name", "seed"), CASES)
 def test_distances(name: str, seed: int, kind: str) -> None:
@@ -217,6 +218,7 @@ def poses() -> list[Any]:
     ]
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize(("name", "pose", "flip"), poses())
 def test_surface_is_mitsubas(name: str, pose: T, flip: bool) -> None:
     mi = pytest.importorskip("mitsuba")

@@ -47,6 +47,7 @@ class EmitterSlopes(Slopes):
 SEEN = [name for name in NAMES if plugin_of(name) != "directionalarea"]
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("name", first_of_each(SEEN))
 def test_every_parameter(name: str) -> None:
     slopes, exact = EmitterSlopes(name), {}

@@ -15,6 +15,7 @@ from djpt.rendering.gradients import machine_replay
 from djpt.rendering.schedules import passes
 from tests.kit.mesh_scenes import gallery, uv_texture
 from tests.kit.renders import pixels
+from tests.kit.threads import threads
 
 SEED, SPP = 5, 8
 PRB = {"type": "prb", "max_depth": 5, "rr_depth": 1000}
@@ -210,11 +211,9 @@ def test_passes_do_not_matter(folder: Path, monkeypatch: pytest.MonkeyPatch) -> 
 def test_gradients_repeat(folder: Path) -> None:
     scene = djpt.load_dict(gallery(folder, (24, 19), integrator=PRB))
     first = Loss(scene, NAMES, "machine").reverse()
-    before = dr.thread_count()
     for count in (1, 2):
-        dr.set_thread_count(count)
-        again = Loss(scene, NAMES, "machine").reverse()
-        dr.set_thread_count(before)
+        with threads(count):
+            again = Loss(scene, NAMES, "machine").reverse()
         for name, gradient in first.items():
             np.testing.assert_array_equal(again[name], gradient, err_msg=name)
 

@@ -306,6 +306,7 @@ def test_metadata_come_back_as_text(tmp_path: Path, suffix: str) -> None:
     np.testing.assert_array_equal(read_pixels(paths[0]), read_pixels(paths[1]))
 
 
+@pytest.mark.usefixtures("second_thread")
 def test_other_programs_see_the_metadata_and_the_layers(tmp_path: Path) -> None:
     import OpenEXR
 

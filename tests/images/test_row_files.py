@@ -53,6 +53,7 @@ def test_numbers_of_channels(suffix: str, channels: int, tmp_path: Path) -> None
     np.testing.assert_array_equal(found, expected)
 
 
+@pytest.mark.usefixtures("second_thread")
 @pytest.mark.parametrize("value", [None, 0.25, np.inf, np.nan])
 def test_openexr_reads_what_is_written(value: float | None, tmp_path: Path) -> None:
     """Blocks that are compressed, and blocks that can't be."""

@@ -117,6 +117,7 @@ def test_layers_stand_in_the_order_of_colours(tmp_path: Path) -> None:
 WIDE = (0.708, 0.292, 0.170, 0.797, 0.131, 0.046, 0.3127, 0.3290)  # ITU-R BT.2020
 
 
+@pytest.mark.usefixtures("second_thread")
 @pytest.mark.parametrize("primaries", [WIDE, (1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1 / 3, 1 / 3)])
 def test_other_primaries_become_srgb(tmp_path: Path, primaries: tuple[float, ...]) -> None:
     mi = pytest.importorskip("mitsuba")

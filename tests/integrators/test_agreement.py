@@ -181,7 +181,7 @@ def compared(scene: str, name: str, size: int, spp: int) -> list[TestResult]:
 QUICK = [pytest.param(scene, marks=() if scene == "glass and metal" else pytest.mark.slow) for scene in SCENES]
 
 
-@pytest.mark.sparse(5)
+@pytest.mark.sparse(10)
 @pytest.mark.parametrize("name", STEPS)
 @pytest.mark.parametrize("scene", QUICK)
 def test_small_images(scene: str, name: str) -> None:

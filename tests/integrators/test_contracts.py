@@ -97,6 +97,7 @@ def test_vacuum_has_no_medium() -> None:
 # ---------------------------------------------------------------- BSDFs
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("name", cases())
 def test_densities_of_both_ways(name: str) -> None:
     """The reverse density is that of the query with the directions exchanged, and the rest is `eval_pdf`."""

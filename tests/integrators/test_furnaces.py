@@ -59,7 +59,7 @@ NEAR = 3e-4
 is moved off the wall counts. Half of a radiance of 1 + a comes from MIS weights, which look at the distance."""
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(11)
 @pytest.mark.parametrize(("furnace", "integrator"), FURNACES, ids=lambda x: getattr(x, "__name__", str(x)))
 @pytest.mark.parametrize("depth", [pytest.param(1, marks=pytest.mark.slow), 2, 5])
 def test_furnace(furnace: Callable[..., Keys], integrator: Keys, depth: int) -> None:
@@ -74,6 +74,7 @@ def test_furnace_by_direct_light(furnace: Callable[..., Keys]) -> None:
         check(render(furnace(0.7), {"type": "direct", **samples}, 2, 512), 1.7, NEAR)
 
 
+@pytest.mark.sparse(4)
 @pytest.mark.parametrize("integrator", [*BY_CHANCE, *BY_LIGHT_SAMPLES[:-1]], ids=str)
 def test_bounces_of_a_furnace(integrator: Keys) -> None:
     """Light that was scattered k times: a^k."""
@@ -169,6 +170,7 @@ def test_integrating_sphere(integrator: Keys, depth: int) -> None:
     check(render(lamp_in_a_sphere(albedo), integrator, depth, 512), expected)
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize(
     "integrator", [{"type": t} for t in ("path_nee", "path", "guided", "ptracer", "bdpt")], ids=str
 )

@@ -18,7 +18,7 @@ ALONG: list[Keys] = [{"type": "whitted"}, *BY_CHANCE, *BY_LIGHT_SAMPLES[1:4], {"
 """Integrators that follow mirrors and panes to where there is light."""
 
 
-@pytest.mark.sparse(5)
+@pytest.mark.sparse(16)
 @pytest.mark.parametrize("integrator", ALONG, ids=str)
 @pytest.mark.parametrize("depth", [1, 2, 3, 6, 9, 16])
 def test_slab_of_glass(depth: int, integrator: Keys) -> None:
@@ -40,6 +40,7 @@ def test_slab_of_glass(depth: int, integrator: Keys) -> None:
     check(render(slab, integrator, depth, 1024), ABOVE * up + BELOW * down)
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("integrator", [*ALONG, {"type": "direct"}], ids=str)
 def test_thin_pane(integrator: Keys) -> None:
     """All reflections inside at once: R' = 2 R / (1 + R), T' = 1 - R'."""

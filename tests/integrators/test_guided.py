@@ -62,6 +62,7 @@ def test_octahedron() -> None:
     assert float(dr.mean(spread)[0]) * 4 == pytest.approx(4 * np.pi, rel=5e-3)
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("side", range(SIDES))
 def test_density_of_a_guide(side: int) -> None:
     """It integrates to 1, and samples follow it; where nothing is known no guide is followed."""

@@ -80,6 +80,7 @@ def assert_equal_means(a: np.ndarray, b: np.ndarray) -> None:
         assert abs(x.mean() - y.mean()) < 5 * error + 1e-7
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("name", first_of_each(name for name in NAMES if plugin_of(name) != "directionalarea"))
 def test_same_mean_as_path(name: str) -> None:
     scene = floor_scene({"light": entry(name)}, size=16)
@@ -87,7 +88,7 @@ def test_same_mean_as_path(name: str) -> None:
     assert_equal_means(images(scene, light, 256), images(scene, {"type": "path", "max_depth": 4}, 128))
 
 
-@pytest.mark.sparse(2)
+@pytest.mark.sparse(4)
 @pytest.mark.parametrize("rfilter", ["box", "gaussian", "mitchell"])
 @pytest.mark.parametrize("sensor", SENSORS, ids=lambda s: s["type"])
 def test_sensors_and_filters(rfilter: str, sensor: dict[str, Any]) -> None:

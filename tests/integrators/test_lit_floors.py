@@ -188,7 +188,7 @@ def those_that_see(factor: Callable[[Array, Array], Array]) -> list[Keys]:
     return [*BY_CHANCE, *BY_LIGHT_SAMPLES, *more]
 
 
-@pytest.mark.sparse(5)
+@pytest.mark.sparse(16)
 @pytest.mark.parametrize(
     ("factor", "integrator"),
     [(factor, integrator) for factor in LAMPS for integrator in those_that_see(factor)],

@@ -80,6 +80,7 @@ INTEGRATORS: dict[str, dict[str, Any]] = {
 }
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("integrator", INTEGRATORS.values(), ids=INTEGRATORS)
 def test_integrators(integrator: dict[str, Any]) -> None:
     overlapping(box(64, "box", integrator))
@@ -103,6 +104,7 @@ def test_shape_index_tells_shapes_apart() -> None:
     assert len(pairs) == len({a for a, _ in pairs}) == len({b for _, b in pairs}) == 9
 
 
+@pytest.mark.sparse(2)
 @pytest.mark.parametrize("pixel_format", ["rgb", "rgba", "luminance"])
 @pytest.mark.parametrize("integrator", [PATH, {**PATH, "hide_emitters": True}], ids=["path", "hidden"])
 def test_pixel_formats(pixel_format: str, integrator: dict[str, Any]) -> None:
@@ -152,11 +154,13 @@ LIT = [
 ]
 
 
+@pytest.mark.sparse(5)
 @pytest.mark.parametrize(("names", "integrator"), LIT)
 def test_lights(names: tuple[str, ...], integrator: dict[str, Any]) -> None:
     overlapping(box(64, "box", integrator, lights(*names)))
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("hide", [False, True], ids=["", "hidden"])
 @pytest.mark.parametrize("name", ["path", "prb", "direct", "depth"])
 def test_alpha_under_the_sky(name: str, hide: bool) -> None:

@@ -23,7 +23,7 @@ QUICK: list[tuple[str, dict[str, Any], Edit | None]] = [
 ]
 
 
-@pytest.mark.sparse(2)
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize(("rfilter", "integrator", "edit"), QUICK, ids=lambda x: getattr(x, "__name__", str(x)))
 def test_small_images(rfilter: str, integrator: dict[str, Any], edit: Edit | None) -> None:
     result = compare(box(64, rfilter, integrator, edit), spp=128, same_seed_spp=0)

@@ -56,7 +56,7 @@ def image(**keys: Any) -> dict[str, Any]:
 
 def sky_file(rows: int, columns: int, sun: float = 0.0) -> str:
     """A picture of a sky with dark and bright texels, and one as bright as a sun."""
-    path = Path(tempfile.mkdtemp(prefix="djpt-")) / "sky.exr"
+    path = Path(tempfile.mkdtemp(prefix="djpt-")) / "sky.pfm"
     atexit.register(shutil.rmtree, path.parent, ignore_errors=True)
     texels = np.random.default_rng(2).random((rows, columns, 3)) ** 3
     texels[rows // 4, columns // 3] += sun

@@ -1,7 +1,7 @@
 """Kernels that LLVM translates as they are, which takes half the time of optimised ones.
 
 ``DJPT_TEST_QUICK=1 python -m pytest`` skips the passes of LLVM that only make code faster: Dr.Jit writes the same
-kernels, they compute the same numbers, and run up to twice as long. Compiling is most of the time of the tests.
+kernels, they compute the same numbers, and run two to three times as long. Compiling is most of the time of the tests.
 """
 
 from __future__ import annotations
@@ -15,6 +15,9 @@ __all__ = ["VARIABLE", "keep_apart", "skip_passes", "without_notes"]
 
 VARIABLE = "DJPT_TEST_QUICK"
 """The environment variable that asks for such kernels. Processes that a test starts compile as ever."""
+
+OPTIONS = ("-opt-bisect-limit=0", "-regalloc=fast", "-optimize-regalloc=false", "-disable-cgp", "-disable-lsr")
+"""No optional pass, registers given out block by block, and no analyses for two passes that would be skipped anyway."""
 
 NOTE = "BISECT: "
 """How the lines begin that LLVM prints to the error output for each pass that it skips."""
@@ -30,7 +33,8 @@ def skip_passes() -> None:
     """Tell LLVM to skip all optional passes if `VARIABLE` is set; after djpt has chosen the library."""
     path = os.environ.get("DRJIT_LIBLLVM_PATH")
     if os.environ.get(VARIABLE) and path:
-        arguments = (ctypes.c_char_p * 2)(b"tests", b"-opt-bisect-limit=0")
+        words = [option.encode() for option in ("tests", *OPTIONS)]
+        arguments = (ctypes.c_char_p * len(words))(*words)
         ctypes.CDLL(path).LLVMParseCommandLineOptions(len(arguments), arguments, None)
 
 

@@ -100,6 +100,7 @@ def strength(scene: Any, es: EmissionSample) -> np.ndarray:
 
 @pytest.mark.parametrize("source", sources())
 class TestEmission:
+    @pytest.mark.sparse(3)
     def test_weight_is_emitted_light_over_densities(self, source: dict[str, Any] | str) -> None:
         scene = scene_of(source)
         es = emitted(scene)
@@ -138,6 +139,7 @@ class TestEmission:
         if not from_surface(scene):
             np.testing.assert_array_equal(wide(es.n), wide(es.ray.d))
 
+    @pytest.mark.sparse(3)
     def test_a_hit_gives_the_arguments(self, source: dict[str, Any] | str) -> None:
         """Of a path that arrives from the other side: `DirectionSample3f.between`."""
         scene = scene_of(source)
@@ -160,7 +162,7 @@ class TestEmission:
             close = np.isclose(wide(found), wide(drawn), rtol=5e-3, atol=1e-3 * wide(drawn).max())
             assert close[same].mean() > 0.98
 
-    @pytest.mark.sparse(5)
+    @pytest.mark.sparse(16)
     def test_directions_follow_the_density(self, source: dict[str, Any] | str) -> None:
         scene = scene_of(source)
         emitter, es = scene.emitter_ptr(UInt32(0)), emitted(scene, COUNT, seed=4)
@@ -188,7 +190,7 @@ class TestEmission:
         assert integral == pytest.approx(1, abs=5e-3)
         assert p > SIGNIFICANCE
 
-    @pytest.mark.sparse(5)
+    @pytest.mark.sparse(16)
     def test_positions_follow_the_density(self, source: dict[str, Any] | str) -> None:
         scene = scene_of(source)
         es = emitted(scene, COUNT, seed=5)

@@ -56,6 +56,7 @@ ORDERS: dict[str, tuple[dict[str, Any], list[str]]] = {
 }
 
 
+@pytest.mark.sparse(4)
 @pytest.mark.filterwarnings("ignore:light. no shape refers to this emitter")
 @pytest.mark.parametrize("name", ORDERS)
 def test_emitters_are_numbered_as_in_mitsuba(name: str) -> None:

@@ -61,7 +61,7 @@ def scene_of(light: dict[str, Any] | str) -> Any:
 
 @pytest.mark.parametrize("light", lights())
 class TestDirections:
-    @pytest.mark.sparse(5)
+    @pytest.mark.sparse(14)
     def test_directions_follow_the_density(self, light: dict[str, Any] | str) -> None:
         """Of the directions that bring light: what light sampling draws is what a ray in that direction finds."""
         scene = scene_of(light)
@@ -85,6 +85,7 @@ class TestDirections:
         assert integral <= 1 + 5e-3
         assert p > SIGNIFICANCE
 
+    @pytest.mark.sparse(3)
     def test_weights_are_radiance_over_density(self, light: dict[str, Any] | str) -> None:
         scene = scene_of(light)
         ds, weight = scene.sample_emitter_direction(reference(), Point2f(*uniform(4096, seed=3)), False)
@@ -104,6 +105,7 @@ class TestDirections:
         np.testing.assert_allclose(again[lit_up], pdf[lit_up], rtol=2e-3)
         np.testing.assert_allclose(inverse[lit_up], 1, rtol=1e-4)
 
+    @pytest.mark.sparse(3)
     def test_record_is_consistent(self, light: dict[str, Any] | str) -> None:
         scene = scene_of(light)
         ds, _ = scene.sample_emitter_direction(reference(), Point2f(*uniform(1024, seed=4)), False)
@@ -234,6 +236,7 @@ def rays_of(scene: Any, count: int = RAYS, seed: int = 0) -> tuple[Any, np.ndarr
     return ray, np.broadcast_to(in_numpy(weight), (3, count)), u
 
 
+@pytest.mark.sparse(4)
 @pytest.mark.parametrize("name", NAMES)
 def test_mean_weight_is_the_power(name: str) -> None:
     scene = room(entry(name))
@@ -264,6 +267,7 @@ def test_power_in_closed_form(name: str, expected: float) -> None:
     assert room(entry(name)).emitters()[0].power() == pytest.approx(expected, rel=2e-6)
 
 
+@pytest.mark.sparse(4)
 @pytest.mark.parametrize("name", [name for name in NAMES if name not in {*UNLIKE_MITSUBA, *RAYS_UNLIKE_MITSUBA}])
 def test_rays_are_mitsubas(name: str) -> None:
     mi = pytest.importorskip("mitsuba")
@@ -286,6 +290,7 @@ def test_rays_are_mitsubas(name: str) -> None:
     assert agree.mean() > 0.998
 
 
+@pytest.mark.sparse(5)
 @pytest.mark.parametrize("name", [name for name in NAMES if name not in HIDDEN])
 def test_rays_bring_the_light_that_is_sampled(name: str) -> None:
     """What a disk of the ground receives: by rays from the light, and by directions towards the light."""

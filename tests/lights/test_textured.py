@@ -51,6 +51,7 @@ def test_these_shapes_are_known_by_uv() -> None:
     assert names == {"rectangle", "disk", "sphere", "cylinder", "cone", "paraboloid"}
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("description", known_by_uv())
 def test_points_have_their_uv(description: dict[str, Any]) -> None:
     """A ray onto the point at uv finds that uv, and dp/du, dp/dv that span the area of the density."""
@@ -100,6 +101,7 @@ SMOOTH = ("rectangle", "flipped rectangle", "nearest", "to_uv", "cube", "mesh")
 """Their densities have no poles, as those of curved surfaces have where these are seen from the side."""
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("name", SMOOTH)
 def test_directions_follow_the_density(name: str) -> None:
     scene = lit(light=LIGHTS[name])
@@ -116,7 +118,7 @@ def test_directions_follow_the_density(name: str) -> None:
     assert p > SIGNIFICANCE
 
 
-@pytest.mark.sparse(2)
+@pytest.mark.sparse(6)
 @pytest.mark.parametrize("description", LIGHTS.values(), ids=LIGHTS)
 def test_light_arrives_from_where_it_is_seen(description: dict[str, Any]) -> None:
     """Integrals of the radiance over cells of the sphere, by light sampling and by directions drawn uniformly."""
@@ -150,6 +152,7 @@ def test_light_arrives_from_where_it_is_seen(description: dict[str, Any]) -> Non
     assert abs(by_light.sum() - by_chance.sum()) < 4 * total
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("description", LIGHTS.values(), ids=LIGHTS)
 def test_weights_are_radiance_over_density(description: dict[str, Any]) -> None:
     scene = lit(light=description)
@@ -194,6 +197,7 @@ def test_directions_are_mitsubas(kind: str) -> None:
 # ---------------------------------------------------------------- rays from the light
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("description", LIGHTS.values(), ids=LIGHTS)
 def test_rays_carry_the_power(description: dict[str, Any]) -> None:
     """The mean weight is pi times the integral of radiance over area; rays start on the surface, on its front."""

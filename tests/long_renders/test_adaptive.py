@@ -97,7 +97,7 @@ def test_without_a_filter_surveys_are_plain_rounds() -> None:
 
 @pytest.mark.parametrize("rfilter", ["box", "gaussian"])
 @pytest.mark.parametrize("sampler", SAMPLERS)
-@pytest.mark.sparse(2)
+@pytest.mark.sparse(5)
 def test_one_round_is_a_plain_render(sampler: str, rfilter: str) -> None:
     scene = box(sampler, rfilter, size=21)
     found = next(djpt.render_passes(scene, round_spp=8, spp=64, seed=5, adaptive=True))

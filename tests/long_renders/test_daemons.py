@@ -33,7 +33,7 @@ sys.exit(3)
 WORK = {
     "render": "djpt.render(scene, spp=64)",
     "numpy": "np.array(djpt.render(scene, spp=256))",
-    "rounds": "list(djpt.render_passes(scene, spp=2048))",
+    "rounds": "list(djpt.render_passes(scene, spp=512))",
     "to_file": "djpt.render_to_file(scene, 'a.exr', spp=64)",
 }
 
@@ -48,6 +48,7 @@ def ended(work: str, seconds: float, folder: Path) -> tuple[int, str, str]:
     return done.returncode, done.stdout, done.stderr
 
 
+@pytest.mark.sparse(2)
 @pytest.mark.parametrize("name", WORK)
 def test_a_process_ends_while_a_daemon_thread_renders(name: str, tmp_path: Path) -> None:
     for seconds in (0.0, 0.05, 0.2):

@@ -35,6 +35,7 @@ def last(scene: Scene, **options: Any) -> djpt.Accumulation:
     return result
 
 
+@pytest.mark.sparse(4)
 @pytest.mark.parametrize("sampler", SAMPLERS)
 @pytest.mark.parametrize("rfilter", ["box", "gaussian"])
 def test_going_on_gives_the_bits_of_a_longer_render(sampler: str, rfilter: str) -> None:
@@ -102,6 +103,7 @@ def test_the_image_is_the_mean_of_the_rounds() -> None:
     np.testing.assert_allclose(last(scene, spp=24, round_spp=8, seed=9).image().numpy(), np.mean(rounds, 0), rtol=1e-6)
 
 
+@pytest.mark.sparse(4)
 @pytest.mark.parametrize("sampler", SAMPLERS)
 @pytest.mark.parametrize("rfilter", ["box", "gaussian"])
 def test_a_last_round_is_smaller(sampler: str, rfilter: str) -> None:
@@ -312,6 +314,7 @@ def test_arrays_of_another_image_are_refused(adaptive: bool) -> None:
 # ---- errors ------------------------------------------------------------------------------
 
 
+@pytest.mark.sparse(2)
 @pytest.mark.parametrize("spp", [32, 26])
 def test_the_error_is_that_of_many_renders(spp: int) -> None:
     """Over 40 seeds the mean of the estimated squares is that of the true ones: their own errors are some percent."""

@@ -43,6 +43,7 @@ class TestAdjoint:
         back = back * np.abs(wo[2] / wi[2])
         np.testing.assert_allclose(np.broadcast_to(light, back.shape), back, rtol=1e-2, atol=1e-5 * (1 + back.max()))
 
+    @pytest.mark.sparse(3)
     def test_value_is_that_of_the_path_the_other_way(self, name: str) -> None:
         """With the cosines by the geometric normal, on the sides where both normals agree."""
         wi, wo = directions(4)
@@ -57,6 +58,7 @@ class TestAdjoint:
         np.testing.assert_array_equal(np.array(pdf), np.array(material.pdf(LIGHT, si, Vector3f(wo))))
         np.testing.assert_array_equal(np.array(back), np.array(material.pdf(CAMERA, turned, Vector3f(wi))))
 
+    @pytest.mark.sparse(3)
     def test_weight_is_value_over_density(self, name: str) -> None:
         material, si = in_kernel(bsdf(name)), tilted(interaction(Vector3f(directions(5)[0]), width=COUNT))
         u = uniform(COUNT, 3)

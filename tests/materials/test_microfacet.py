@@ -62,6 +62,7 @@ def share_beyond(found: Any, expected: Any, rtol: float, atol: float) -> float:
 @pytest.mark.parametrize("alpha", ALPHAS)
 @pytest.mark.parametrize("kind", KINDS)
 class TestAgainstMitsuba:
+    @pytest.mark.sparse(3)
     def test_density_and_shadowing(self, kind: str, alpha: tuple[float, float]) -> None:
         a, b = ours(kind, alpha), theirs(kind, alpha)
         wi, v = hemisphere(0), sphere(1)
@@ -76,6 +77,7 @@ class TestAgainstMitsuba:
             for found, expected in pairs:
                 assert share_beyond(found, expected, 1e-4, 1e-7) == 0
 
+    @pytest.mark.sparse(4)
     @pytest.mark.parametrize("visible", [True, False])
     def test_samples(self, kind: str, alpha: tuple[float, float], visible: bool) -> None:
         wi, sample = hemisphere(4), numbers(2, 5)

@@ -88,6 +88,7 @@ def test_values_are_mitsubas(values: dict[str, Any], mode: int) -> None:
     compare_values(described(values), mode, sides=True if clear else lambda wi: wi[2] > 0)
 
 
+@pytest.mark.sparse(3)
 @MODES
 @pytest.mark.parametrize("values", CASES)
 def test_samples_are_mitsubas(values: dict[str, Any], mode: int) -> None:
@@ -115,7 +116,7 @@ def test_an_image_has_mitsubas_pixels() -> None:
 # ---------------------------------------------------------------- sampling
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(10)
 @pytest.mark.parametrize("wi", WI.values(), ids=WI)
 @pytest.mark.parametrize("values", [pytest.param(v, id=name) for name, v in {**OPAQUE, **CLEAR}.items()])
 def test_samples_follow_the_density(values: dict[str, Any], wi: Any) -> None:
@@ -171,6 +172,7 @@ ENDS: list[dict[str, Any]] = [
 ]  # fmt: skip
 
 
+@pytest.mark.sparse(4)
 @pytest.mark.parametrize("color", [0.0, 1.0, [1.0, 0.0, 0.0]])
 @pytest.mark.parametrize("values", ENDS)
 def test_nothing_is_undefined_at_the_ends(values: dict[str, Any], color: Any) -> None:
@@ -180,6 +182,7 @@ def test_nothing_is_undefined_at_the_ends(values: dict[str, Any], color: Any) ->
     stays_finite({"type": "principled", **on, "base_color": base_color})
 
 
+@pytest.mark.sparse(2)
 @pytest.mark.parametrize("eta", [1e-3, 1.0, 20.0])
 def test_nothing_is_undefined_for_odd_interfaces(eta: float) -> None:
     values = {key: value for key, value in EVERYTHING.items() if key != "specular"}

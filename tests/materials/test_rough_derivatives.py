@@ -50,6 +50,7 @@ def differing(values: Any, expected: Any) -> float:
     return float((np.abs(values - expected) > 1e-2 * np.maximum(np.abs(expected), large)).mean())
 
 
+@pytest.mark.sparse(4)
 @pytest.mark.parametrize(("name", "key", "value"), DERIVATIVES)
 def test_derivative_of_eval(name: str, key: str, value: float | None) -> None:
     bsdf = djpt.load_dict(CASES[name])
@@ -101,6 +102,7 @@ def test_derivative_of_the_mirror() -> None:
     np.testing.assert_allclose(change, (mirror(1.51) - mirror(1.49)) / 0.02, rtol=2e-3, atol=1e-4)
 
 
+@pytest.mark.sparse(2)
 @pytest.mark.parametrize(
     ("bsdf", "key", "value", "h"),
     [

@@ -104,7 +104,7 @@ def check_density(name: str, wi: Any, count: int) -> None:
     np.testing.assert_array_less(difference, noise + 0.3 * error(name) + 1e-4)
 
 
-@pytest.mark.sparse(4)
+@pytest.mark.sparse(9)
 @pytest.mark.parametrize("wi", WI.values(), ids=WI)
 @pytest.mark.parametrize("name", cases())
 def test_samples_follow_the_density(name: str, wi: Any) -> None:
@@ -141,7 +141,7 @@ MIXTURES = {"phong", "blinn", "roughplastic", "pplastic", "blendbsdf"}
 """Several lobes may lead to one direction: the density is the sum of all."""
 
 
-@pytest.mark.sparse(4)
+@pytest.mark.sparse(9)
 @pytest.mark.parametrize("wi", WI.values(), ids=WI)
 @pytest.mark.parametrize("name", cases())
 def test_density_is_the_inverse_jacobian(name: str, wi: Any) -> None:
@@ -188,7 +188,7 @@ def test_density_is_the_inverse_jacobian(name: str, wi: Any) -> None:
         assert np.mean(ratio < 1 - error) < 0.02
 
 
-@pytest.mark.sparse(4)
+@pytest.mark.sparse(9)
 @pytest.mark.parametrize("wi", WI.values(), ids=WI)
 @pytest.mark.parametrize("name", cases())
 def test_weights_are_values_over_densities(name: str, wi: Any) -> None:
@@ -215,7 +215,7 @@ BRIGHTER = {"principled-coated": 1.1, "principled-sheen": 1.04}
 """What reflects more than it receives, at low angles: coat and sheen are just added to what lies below."""
 
 
-@pytest.mark.sparse(4)
+@pytest.mark.sparse(9)
 @pytest.mark.parametrize("wi", WI.values(), ids=WI)
 @pytest.mark.parametrize("name", cases())
 def test_energy(name: str, wi: Any) -> None:
@@ -239,6 +239,7 @@ NOT_RECIPROCAL: dict[str, str] = {
 }
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("name", cases())
 def test_reciprocity(name: str) -> None:
     """f(wi, wo) of radiance is f(wo, wi) of importance: the way back is as bright, on both sides of the surface."""
@@ -262,6 +263,7 @@ def test_reciprocity(name: str) -> None:
 # ---------------------------------------------------------------- one call and several
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("name", cases())
 def test_combined_calls_agree(name: str) -> None:
     material, count = loaded(name), 1024
@@ -316,6 +318,7 @@ SPECIAL = [
 EDGES = [0.0, 2.0**-32, 0.25, 0.5, 1 - 2.0**-24]
 
 
+@pytest.mark.sparse(4)
 @pytest.mark.parametrize("ctx", [RADIANCE, IMPORTANCE], ids=["radiance", "importance"])
 @pytest.mark.parametrize("name", cases([*NAMES, *SHARP]))
 def test_special_directions_give_numbers(name: str, ctx: BSDFContext) -> None:

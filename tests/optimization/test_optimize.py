@@ -59,6 +59,7 @@ def pictures(scene: djpt.Scene, spp: int = 256) -> list[Any]:
     return [djpt.render(scene, sensor=view, spp=spp, seed=100 + view) for view in (0, 1)]
 
 
+@pytest.mark.sparse(2)
 @pytest.mark.parametrize("loss", LOSSES)
 def test_an_albedo_is_found(loss: str) -> None:
     scene = floor()

@@ -91,6 +91,7 @@ def assigned(params: Any, key: str, numbers: np.ndarray) -> None:
     params.update()
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("attached", [False, True])
 @pytest.mark.parametrize(("name", "key", "numbers"), PARAMETERS)
 def test_derivatives_by_parameters(name: str, key: str, numbers: list[float], attached: bool) -> None:

@@ -32,6 +32,7 @@ def test_values_and_densities(mi: Any, name: str) -> None:
     same(ask, mi, rtol=1e-4)
 
 
+@pytest.mark.sparse(4)
 @pytest.mark.parametrize("name", sorted(set(PHASES) - set(FLAKES)))
 def test_samples(mi: Any, name: str) -> None:
     def ask(module: Any) -> Any:

@@ -66,6 +66,7 @@ def test_every_warp_has_a_density() -> None:
         assert {len(a) for a in WARP_ARGUMENTS.get(name, [()])} == {parameters}, f"add {name} to WARP_ARGUMENTS"
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize(("name", "arguments"), WARP_CASES)
 def test_warp_follows_its_density(name: str, arguments: tuple[Any, ...]) -> None:
     values, density = warped(name, arguments, Point2f(*uniform(COUNT)))
@@ -120,6 +121,7 @@ def with_area() -> list[Any]:
     return [p for p in examples("shape") if registry.lookup("shape", p.values[0]).has_area]
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize(("name", "description"), with_area())
 def test_positions_lie_on_the_surface(name: str, description: dict[str, Any]) -> None:
     """Sampled points are found again by a ray straight onto them, with the same normal and uv."""

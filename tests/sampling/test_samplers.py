@@ -77,6 +77,7 @@ def singles(description: dict[str, Any], count: int, grid: int = 1, draws: int =
 # ---------------------------------------------------------------- Mitsuba
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("spp", [1, 3, 10, 17, 100])
 @every(*MITSUBAS)
 def test_numbers_are_mitsubas(description: dict[str, Any], spp: int) -> None:
@@ -109,6 +110,7 @@ def test_counts_are_mitsubas(name: str) -> None:
         assert sampler.round_count(sampler.round_count(spp)) == sampler.round_count(spp)
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("schedule", ["flat", "wave"])
 @pytest.mark.parametrize("name", ["stratified", "multijitter", "orthogonal", "ldsampler"])
 def test_pixels_are_mitsubas(name: str, schedule: str) -> None:
@@ -147,6 +149,7 @@ def test_numbers_are_uniform(description: dict[str, Any]) -> None:
         assert stats.chisquare(np.histogram(first, 16, (0, 1))[0]).pvalue > 1e-4
 
 
+@pytest.mark.sparse(4)
 @every(*[d for d in ALL if d != BLUE])
 def test_pixels_and_seeds_are_uncorrelated(description: dict[str, Any]) -> None:
     if description.get("strength"):
@@ -166,6 +169,7 @@ def test_dimensions_are_uncorrelated(description: dict[str, Any]) -> None:
     assert np.abs(np.corrcoef(table) - np.eye(12)).max() < 6 / np.sqrt(table.shape[1])
 
 
+@pytest.mark.sparse(2)
 @every()
 def test_a_clone_continues_on_its_own(description: dict[str, Any]) -> None:
     stream = streams(description, 16, 2)
@@ -284,6 +288,7 @@ def test_orthogonal_arrays_stratify_all_pairs() -> None:
 # ---------------------------------------------------------------- images
 
 
+@pytest.mark.sparse(2)
 @every()
 def test_new_seeds_and_counts_compile_nothing(description: dict[str, Any]) -> None:
     scene = djpt.load_dict(floor_scene(size=8, sampler=description))
@@ -304,6 +309,7 @@ def test_passes_do_not_change_a_bit(description: dict[str, Any], schedule: str) 
     np.testing.assert_array_equal(pixels(whole), pixels(parts))
 
 
+@pytest.mark.sparse(5)
 @every(*[d if len(d) == 1 or d == BLUE else pytest.param(d, marks=pytest.mark.slow) for d in ALL])
 def test_schedules_agree(description: dict[str, Any]) -> None:
     """Flat and wave; and with a mesh machine and wave. A filter and a border as well."""
@@ -318,6 +324,7 @@ def test_schedules_agree(description: dict[str, Any]) -> None:
     np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-4)
 
 
+@pytest.mark.sparse(2)
 @every()
 def test_gradients_are_those_of_the_image(description: dict[str, Any]) -> None:
     scene = djpt.load_dict(floor_scene(size=8, sampler=description))

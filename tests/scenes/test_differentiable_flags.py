@@ -99,6 +99,7 @@ PLUGINS = [
 ]
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize(("kind", "name"), PLUGINS)
 def test_what_is_marked_has_derivatives(kind: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for file, content in seed_files().items():

@@ -69,6 +69,7 @@ SCENES: dict[str, dict[str, Any]] = {
 }
 
 
+@pytest.mark.sparse(2)
 @unmasking
 @pytest.mark.parametrize("film", SCENES)
 @pytest.mark.parametrize("sampler", ["independent", "multijitter"])

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import drjit as dr
 import numpy as np
 import pytest
 
@@ -16,16 +13,7 @@ from djpt.geometry.engines import ray_queries
 from djpt.validation import agreement
 from tests.kit.mesh_scenes import PATH, gallery, uv_texture
 from tests.kit.renders import pixels, theirs
-
-
-@contextmanager
-def threads(count: int) -> Iterator[None]:
-    before = dr.thread_count()
-    dr.set_thread_count(count)
-    try:
-        yield
-    finally:
-        dr.set_thread_count(before)
+from tests.kit.threads import threads
 
 
 @pytest.fixture(scope="module")
@@ -73,6 +61,7 @@ KINDS: dict[str, dict[str, Any]] = {
 SLOW = ("gaussian", "odd, box", "crop", "one bounce", "lamp", "point")
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("kind", [pytest.param(k, marks=pytest.mark.slow if k in SLOW else ()) for k in KINDS])
 def test_schedules_agree(folder: Path, kind: str) -> None:
     scene = djpt.load_dict(gallery(folder, **KINDS[kind]))
@@ -128,6 +117,7 @@ def test_nothing_in_sight(folder: Path) -> None:
 # ---------------------------------------------------------------- against Mitsuba
 
 
+@pytest.mark.sparse(4)
 @pytest.mark.parametrize("spp", [1, 3, 33])
 @pytest.mark.parametrize("kind", ["box", "odd, gaussian", "crop, gaussian, border"])
 def test_pixels_of_mitsuba(folder: Path, kind: str, spp: int) -> None:
@@ -137,6 +127,7 @@ def test_pixels_of_mitsuba(folder: Path, kind: str, spp: int) -> None:
     close(image, theirs(description, spp, 2), 0.95 if "gaussian" in kind else 0.985, 1e-3)
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("kind", ["hidden", "rgba", "prb", "lamp", "sky", "one bounce"])
 def test_more_pixels_of_mitsuba(folder: Path, kind: str) -> None:
     pytest.importorskip("mitsuba")

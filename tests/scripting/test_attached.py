@@ -270,6 +270,7 @@ def shade(scene: Any, count: int) -> Any:
 BITMAP = {"type": "bitmap", "data": np.full((4, 4, 3), 0.5, np.float32), "raw": True}
 
 
+@pytest.mark.sparse(4)
 @pytest.mark.parametrize("count", [1, 3, 20])
 @pytest.mark.parametrize("name", ["reflectance.value", "reflectance.data", "lamp"])
 def test_what_scripts_compute_is_attached_to_the_scene(name: str, count: int) -> None:

@@ -22,7 +22,7 @@ TYPES = ("UInt8", "UInt16", "UInt32", "Int8", "Int16", "Int32", "Float16", "Floa
 
 
 @pytest.fixture
-def mi() -> Any:
+def mi(second_thread: None) -> Any:
     mitsuba = pytest.importorskip("mitsuba")
     mitsuba.set_variant("scalar_rgb")
     return mitsuba

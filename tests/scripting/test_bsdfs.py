@@ -87,6 +87,7 @@ def contexts(module: Any, count: int) -> list[Any]:
     return [make(mode, int(mask), None) for mask in masks] + [make(mode, int(flags.All), i) for i in range(count)]
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("name", sorted(set(CASES) - SINGLE - {"mask", "bumps", "twosided", "two sides"}))
 def test_single_lobes_are_mitsubas(mi: Any, name: str) -> None:
     """Left out is what Mitsuba 3.9.1 answers otherwise.
@@ -101,6 +102,7 @@ def test_single_lobes_are_mitsubas(mi: Any, name: str) -> None:
             np.testing.assert_allclose(a, b, rtol=2e-3, atol=2e-4, err_msg=f"{own}")
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("name", sorted(set(CASES) - SINGLE))
 def test_lobes_add_up(name: str) -> None:
     bsdf = djpt.load_dict(CASES[name])

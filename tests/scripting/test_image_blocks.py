@@ -28,6 +28,7 @@ def filled(module: Any, name: str | None, channels: int, active: bool = False, *
     return block
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize(
     "options",
     [{}, {"border": True}, {"normalize": True}, {"coalesce": False}, {"coalesce": False, "normalize": True}],
@@ -44,6 +45,7 @@ def test_sums_are_mitsubas(mi: Any, name: str | None, options: dict[str, bool]) 
         np.testing.assert_allclose(mine.tensor().numpy(), his.tensor().numpy(), rtol=2e-4, atol=2e-5)
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("normalize", [False, True])
 @pytest.mark.parametrize("name", ["box", "tent", "gaussian"])
 def test_reading_is_mitsubas(mi: Any, name: str, normalize: bool) -> None:
@@ -107,6 +109,7 @@ def test_films_develop_as_mitsubas(mi: Any, pixel_format: str) -> None:
         np.testing.assert_allclose(mine, his, rtol=2e-4, atol=2e-5)
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("pixel_format", FORMATS)
 def test_rendered_channels_are_mitsubas(mi: Any, pixel_format: str) -> None:
     images = []

@@ -105,6 +105,7 @@ def test_images_are_made_of_several_wavefronts(monkeypatch: pytest.MonkeyPatch, 
     assert not np.array_equal(parts, np.array(djpt.render(scene, spp=64, seed=1)))
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("rfilter", ["box", "gaussian"])
 @pytest.mark.parametrize("integrator", ["path", "prb_basic", "direct"])
 def test_gradients(integrator: str, rfilter: str) -> None:

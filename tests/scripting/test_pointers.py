@@ -59,6 +59,7 @@ def loaded(m: Any, description: Any) -> Any:
     return djpt.load_dict(description) if m is djpt else m.load_dict(djpt.validation.to_mitsuba(description))
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("claim", CALLS)
 def test_pointers_answer_as_in_mitsuba(claim: str, mi: Any) -> None:
     found = []

@@ -116,6 +116,7 @@ QUERIES = [
 ]
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("query", QUERIES)
 def test_rays(query: str, mi: Any) -> None:
     found = [eval(query.format(r=RAYS), {"m": m, "s": scene(m)}) for m in (djpt, mi)]

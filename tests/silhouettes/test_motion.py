@@ -52,6 +52,7 @@ def fields(si: Any) -> dict[str, Any]:
     return {"p": si.p, "n": si.n, "t": si.t, "uv": si.uv, "shading normal": si.sh_frame.n}
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("name", SHAPES)
 def test_hits_move_with_the_shape(name: str) -> None:
     ray = djpt.Ray3f(SHAPES[name][2], DIRECTION)

@@ -99,6 +99,7 @@ def sample_flags(name: str) -> list[int]:
     return {"sphere": [INTERIOR, PERIMETER], "cylinder": [PERIMETER, INTERIOR]}.get(name, [PERIMETER, INTERIOR])
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("name", [*ANALYTIC, "mesh"])
 def test_samples_are_mitsubas(name: str) -> None:
     ours, theirs = shape(djpt, name), shape(mi, name)
@@ -132,6 +133,7 @@ def test_samples_of_pointers_are_those_of_shapes(name: str) -> None:
     np.testing.assert_allclose(back[:, 0], [0.2, 0.3, 0.4], atol=1e-4)
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("name", [*ANALYTIC, "mesh"])
 def test_projections_are_mitsubas(name: str) -> None:
     uv = np.random.default_rng(5).random((2, 64), np.float32) * 0.98 + 0.01
@@ -235,6 +237,7 @@ def scene(m: Any) -> Any:
     return room
 
 
+@pytest.mark.sparse(2)
 @pytest.mark.parametrize("flags", [PERIMETER | INTERIOR | 4, PERIMETER | INTERIOR | 8, PERIMETER | 4])
 def test_silhouettes_of_scenes_are_mitsubas(flags: int) -> None:
     ours, theirs = scene(djpt), scene(mi)

@@ -56,6 +56,7 @@ def in_kernel(texture: Any, method: str, si: Any) -> Any:
 # ---------------------------------------------------------------- lookups
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("shape", [(4, 5, 3), (7, 2, 1), (1, 6, 3), (1, 1, 1)], ids=str)
 @pytest.mark.parametrize("wrap_mode", ["repeat", "mirror", "clamp"])
 @pytest.mark.parametrize("filter_type", ["bilinear", "nearest"])

@@ -33,6 +33,7 @@ def prepared(**keys: Any) -> Bitmap:
     return texture
 
 
+@pytest.mark.sparse(4)
 @pytest.mark.parametrize("keys", BITMAPS.values(), ids=BITMAPS)
 @pytest.mark.parametrize("shape", [(5, 7, 3), (1, 1, 3), (9, 1, 1), (17, 40, 1)], ids=str)
 def test_points_are_mitsubas(shape: tuple[int, ...], keys: dict[str, Any]) -> None:

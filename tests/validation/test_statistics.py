@@ -159,6 +159,7 @@ def test_the_mean_sees_what_pixels_do_not() -> None:
     assert all(planted(rng, "mean, independent pixels", 0.05, ALL) for _ in range(5))
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("family", FAMILIES)
 def test_detectable_is_what_is_seen_every_second_time(family: str) -> None:
     rng = np.random.default_rng(6)

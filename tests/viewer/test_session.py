@@ -119,6 +119,7 @@ def attacked() -> tuple[Session, Pages]:
     return session(pages), pages
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("do", FIELDS)
 def test_no_message_ends_the_viewer(do: str, attacked: tuple[Session, Pages]) -> None:
     """Messages with anything in any field, or without a field: they are refused, or lead to a picture of numbers."""
@@ -199,6 +200,7 @@ def test_a_round_that_fails_after_a_message_is_told(monkeypatch: pytest.MonkeyPa
     assert shown.picture.spp and not shown.state()["problem"]
 
 
+@pytest.mark.sparse(4)
 @pytest.mark.parametrize("integrator", ["guided", "bdpt", "sppm", "mmlt", "ptracer", "volpath", "direct"])
 def test_integrators_are_shown(integrator: str) -> None:
     """Rounds after the first two are launched again without Python, where that is possible."""

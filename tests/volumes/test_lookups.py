@@ -41,6 +41,7 @@ METHODS = {
 }
 
 
+@pytest.mark.sparse(4)
 @pytest.mark.parametrize("channels", METHODS)
 @pytest.mark.parametrize("filter_type", ["trilinear", "nearest"])
 @pytest.mark.parametrize("wrap_mode", ["clamp", "repeat", "mirror"])
@@ -80,6 +81,7 @@ def test_constants_are_mitsubas(mi: Any, value: Any) -> None:
     same(ask, mi)
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("channels", [1, 3])
 @pytest.mark.parametrize("wrap_mode", ["clamp", "repeat", "mirror"])
 @pytest.mark.parametrize("filter_type", ["trilinear", "nearest"])
