@@ -34,7 +34,8 @@ class Integrator(Plugin):
 
     Parameters of all integrators: `hide_emitters` (default false): camera rays pass through
     area lights and see no environment; `unproven_gradients` (default false): derivatives that are known to be wrong
-    are computed all the same, in place of an error (see `djpt.rendering.gradients.unproven`).
+    are computed all the same, in place of an error (see `djpt.rendering.gradients.unproven`); `samples_per_pass` and
+    `block_size` (without effect, for Mitsuba's scenes: the size of passes follows from memory and time).
     """
 
     kind: ClassVar[str] = "integrator"
@@ -83,6 +84,8 @@ class Integrator(Plugin):
         super().__init__(props)
         self.hide_emitters = props.boolean("hide_emitters", False)
         self.unproven_gradients = props.boolean("unproven_gradients", False)
+        props.integer("samples_per_pass", -1)
+        props.integer("block_size", 0)
 
     @property
     def stepwise(self) -> bool:
