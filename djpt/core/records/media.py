@@ -42,8 +42,7 @@ class MediumInteraction3f(Interaction3f):
     def on(ray: Ray3f, t: Float, p: Point3f | None = None) -> MediumInteraction3f:
         """The point of a ray at `t`; `p` is that point if it is known."""
         mei: MediumInteraction3f = MediumInteraction3f.holding(t=t, p=ray(t) if p is None else p, wi=-ray.d)
-        if ray.times:
-            mei.time = ray.time
+        mei.arrived_with(ray)
         return mei
 
     def default(self, name: str) -> Any:
