@@ -127,6 +127,16 @@ class Integrator(Plugin):
         """
         raise NotImplementedError
 
+    def sample_nested(
+        self, scene: Scene, sampler: SampleStream, ray: Ray3f, active: Bool | bool
+    ) -> tuple[Color3f, Bool, list[Float]]:
+        """`sample` for an integrator that this one is nested in."""
+        return self.sample(scene, sampler, ray, None, active)
+
+    def renders_itself(self) -> bool:
+        """True if it overrides `render`; then it asks samplers for more than a `SampleStream` has."""
+        return type(self).render is not Integrator.render
+
     def render(
         self,
         scene: Scene,
