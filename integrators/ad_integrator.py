@@ -84,6 +84,13 @@ class ADIntegrator(Integrator):
         """
         raise NotImplementedError(f"{type(self).__name__} needs a method sample(mode, scene, sampler, ray, ..)")
 
+    def sample_nested(
+        self, scene: Scene, sampler: Any, ray: Any, active: Bool | bool
+    ) -> tuple[Color3f, Bool, list[Float]]:
+        arguments = {**modes(dr.ADMode.Primal, scene, sampler, ray), "active": Bool(active)}
+        color, valid, aovs, _ = self.sample(**arguments, δL=None, δaovs=None, state_in=None)
+        return color, valid, aovs
+
     def prepare(
         self, sensor: Sensor, seed: UInt32 | int = 0, spp: int = 0, aovs: Sequence[str] = ()
     ) -> tuple[Sampler, int]:

@@ -53,7 +53,8 @@ class Integrator(Plugin):
 
     Parameters of all integrators: `hide_emitters` (default false): camera rays pass through
     area lights and see no environment; `unproven_gradients` (default false): derivatives that are known to be wrong
-    are computed all the same, in place of an error (see `djpt.rendering.gradients.unproven`).
+    are computed all the same, in place of an error (see `djpt.rendering.gradients.unproven`); `samples_per_pass` and
+    `block_size` (without effect, for Mitsuba's scenes: the size of passes follows from memory and time).
     """
 
     kind: ClassVar[str] = "integrator"
@@ -102,6 +103,8 @@ class Integrator(Plugin):
         super().__init__(props)
         self.hide_emitters = props.boolean("hide_emitters", False)
         self.unproven_gradients = props.boolean("unproven_gradients", False)
+        props.integer("samples_per_pass", -1)
+        props.integer("block_size", 0)
 
     @property
     def stepwise(self) -> bool:
@@ -142,6 +145,16 @@ class Integrator(Plugin):
         `medium` is only there for the signature: a ray knows the medium that it runs through.
         """
         raise NotImplementedError
+
+    def sample_nested(
+        self, scene: Scene, sampler: SampleStream, ray: Ray3f, active: Bool | bool
+    ) -> tuple[Color3f, Bool, list[Float]]:
+        """`sample` for an integrator that this one is nested in."""
+        return self.sample(scene, sampler, ray, None, active)
+
+    def renders_itself(self) -> bool:
+        """True if it overrides `render`; then it asks samplers for more than a `SampleStream` has."""
+        return type(self).render is not Integrator.render
 
     def render(
         self,

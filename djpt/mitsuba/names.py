@@ -150,8 +150,8 @@ SUBMODULES: dict[str, str] = {
 }
 """Attributes of `djpt` that are modules, with the modules that they stand for."""
 
-VARIANT_MODULES = ("llvm_ad_rgb", "cuda_ad_rgb", "scalar_rgb")
-"""Mitsuba's modules that hold its names in one variant; here they are `djpt` itself."""
+VARIANT_MODULES = ("llvm_ad_rgb", "cuda_ad_rgb", "scalar_rgb", "python")
+"""Mitsuba's modules that hold its names in one variant, or those written in Python; here they are `djpt` itself."""
 
 
 # ---- names that djpt leaves out on purpose ---------------------------------------------------

@@ -9,7 +9,6 @@ import drjit as dr
 
 from djpt.core.interruption import noticing
 from djpt.errors import RenderError
-from djpt.integrators.base import Integrator
 from djpt.jit.kernels import begin_trace
 from djpt.jit.types import TensorXf
 from djpt.rendering.image import film_image
@@ -96,7 +95,7 @@ def render(
             from djpt.rendering.progressive.passes import adaptive_image
 
             rendered = adaptive_image
-        elif type(settings.integrator).render is not Integrator.render:
+        elif settings.integrator.renders_itself():
             from djpt.rendering.gradients.own_rendering import image_by_itself
 
             return image_by_itself(scene, params, settings)

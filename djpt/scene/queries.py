@@ -147,8 +147,7 @@ class SceneQueries(Plugin):
             scene_ref={self: ()},
         )
         si.found_at(pi.t, valid)
-        if ray.times:
-            si.time = ray.time
+        si.arrived_with(ray)
         return si
 
     def revisit(self, p: Point3f, d: Vector3f, face: UInt32, full: bool = False) -> SurfaceInteraction3f:

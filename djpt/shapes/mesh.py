@@ -223,7 +223,7 @@ class Mesh(MeshQueries, Shape):
                 self.__dict__.pop(name, None)
 
     def parameters_changed(self, keys: Sequence[str]) -> None:
-        """Take over edited parameters; as in Mitsuba, vertex normals are computed anew when vertices have moved.
+        """Take over edited parameters; as in Mitsuba, moved vertices get new normals unless normals are edited, too.
 
         Raises:
             ParameterError: sizes that don't fit, an index out of range; nothing has changed then.
@@ -248,7 +248,7 @@ class Mesh(MeshQueries, Shape):
         moved = resized or not np.array_equal(positions, self.positions)
         self.positions, self.indices, self.texcoords, self.attributes = positions, indices, texcoords, attributes
         self.normals = None if normals is None else unit(normals)
-        if self.normals is not None and moved:
+        if self.normals is not None and moved and "vertex_normals" not in changed:
             data = MeshData(positions, indices)
             data.compute_normals()
             self.normals = data.normals

@@ -36,8 +36,11 @@ class NestingIntegrator(Integrator):
             if isinstance(integrator, LearningIntegrator):
                 raise SceneError(f"{props.node}.{name}: an integrator that learns about the scene can't be nested")
         self.needs_light = any(integrator.needs_light for integrator in integrators)
-        # Path replay is for path tracers that stand alone, and their `sample` has no derivative.
-        self.differentiable = all(integrator.differentiable and not integrator.stepwise for integrator in integrators)
+        # Path replay is for integrators that stand alone, and their `sample` has no derivative.
+        self.differentiable = all(
+            integrator.differentiable and not (integrator.stepwise or integrator.renders_itself())
+            for integrator in integrators
+        )
 
     def traverse(self, callback: TraversalCallback) -> None:
         for i, (_, integrator) in enumerate(self.nested):
@@ -52,15 +55,16 @@ class NestingIntegrator(Integrator):
         return super().fits_any_frame() and all(integrator.fits_any_frame() for _, integrator in self.nested)
 
     def is_pure(self) -> bool:
-        return super().is_pure() and all(integrator.is_pure() for _, integrator in self.nested)
+        nested = [integrator for _, integrator in self.nested]
+        return super().is_pure() and all(one.is_pure() and not one.renders_itself() for one in nested)
 
     def samples(
         self, scene: Scene, sampler: SampleStream, ray: Ray3f, active: Bool | bool = True
     ) -> list[tuple[Color3f, Bool, list[Float]]]:
         """One sample of each nested integrator, from the random numbers that it would draw alone."""
         samples = (
-            integrator.sample(
-                scene.replace(emitter_choice=integrator.emitter_choice), sampler.clone(), ray, None, active
+            integrator.sample_nested(
+                scene.replace(emitter_choice=integrator.emitter_choice), sampler.clone(), ray, active
             )
             for _, integrator in self.nested
         )

@@ -224,6 +224,25 @@ def test_moved_vertices_get_new_normals_as_in_mitsuba(mi: Any, tmp_path: Path) -
     np.testing.assert_array_equal(np.stack([np.array(p).T for p in meshes.vertices(every)], 1), moved[mesh.indices])
 
 
+def test_normals_that_come_with_moved_vertices_are_kept_as_in_mitsuba(mi: Any) -> None:
+    """Of a mesh that a script fills, and moves later with its normals, and without."""
+    found = []
+    for m in (djpt, mi):
+        mesh = m.Mesh("sheet", 4, 2, has_vertex_normals=True)
+        params, normals = m.traverse(mesh), []
+        for size, z in ((1, 0.8), (2, -0.8), (3, None)):
+            if size == 1:
+                params["faces"] = [0, 1, 2, 1, 3, 2]
+            params["vertex_positions"] = [size * x for x in (0, 0, 0, 1, 0, 0, 0, 1, 0, 1, 1, 0)]
+            if z is not None:
+                params["vertex_normals"] = [0.6, 0, z] * 4
+            params.update()
+            normals.append(np.array(params["vertex_normals"]))
+        found.append(normals)
+    np.testing.assert_allclose(found[0], found[1], atol=1e-6)
+    np.testing.assert_allclose(found[0][1][:3], [0.6, 0, -0.8], atol=1e-6)
+
+
 def test_a_mesh_can_get_another_size() -> None:
     mesh = djpt.Mesh("m", *triangle(), vertex_texcoords=np.ones((3, 2)))
     params = djpt.traverse(mesh)

@@ -136,7 +136,7 @@ REFUSED = {
     "too large": (lambda: T().scale(1e39), r"finite in single precision"),
     "nan angle": (lambda: T().rotate([0, 1, 0], NAN), r"rotate: must be finite"),
     "zero axis": (lambda: T().rotate([0, 0, 0], 5), r"rotate: the axis has length 0"),
-    "two numbers": (lambda: T().translate([1, 2]), r"translate: must be three numbers, found list \[1, 2\]"),
+    "two numbers": (lambda: T().translate([1, 2]), r"translate: must be one or three numbers, found list \[1, 2\]"),
     "ragged": (lambda: T().translate([1, [2]]), r"translate: must be numbers"),
     "string": (lambda: T().translate("abc"), r"translate: must be numbers, found str 'abc'"),
     "None": (lambda: T().translate(None), r"translate: must be numbers, found None"),

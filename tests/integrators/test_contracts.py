@@ -39,6 +39,14 @@ def with_meshes(folder: Path) -> dict[str, Any]:
     return scene
 
 
+@pytest.mark.parametrize("kind", ["path", "ptracer", "prbvolpath", "direct_projective", "sppm"])
+def test_the_size_of_passes_of_older_scenes_changes_nothing(kind: str) -> None:
+    integrator = djpt.load_dict({"type": kind, "samples_per_pass": 64, "block_size": 32})
+    assert str(integrator) == str(djpt.load_dict({"type": kind}))
+    with pytest.raises(djpt.SceneError, match="'samples_per_pass' must be an integer"):
+        djpt.load_dict({"type": kind, "samples_per_pass": "all"})
+
+
 # ---------------------------------------------------------------- scenes
 
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
+import drjit as dr
 import numpy as np
 import pytest
 
 import djpt
+from djpt.errors import RenderError
 from djpt.validation import agreement
 from tests.kit.renders import box, ours, pixels, theirs
 
@@ -76,3 +78,19 @@ def test_errors() -> None:
         djpt.variance(np.zeros((2, 2, 3)), "RGB", 1)
     with pytest.raises(djpt.RenderError, match="an image of 3 channels"):
         djpt.variance(np.zeros((2, 2, 4)), "RGB", 4)
+
+
+@pytest.mark.parametrize("kind", ["prb_projective", "direct_projective", "prb_basic"])
+@pytest.mark.parametrize("outer", [{"type": "moment"}, {"type": "aov", "aovs": "far:depth"}], ids=["moment", "aov"])
+def test_integrators_that_render_by_themselves_can_be_nested(kind: str, outer: dict[str, Any]) -> None:
+    """With the random numbers, and so the image, that they have alone; but without derivatives."""
+    scene = djpt.load_dict(box(8))
+    nested = djpt.load_dict({**outer, "nested": {"type": kind}})
+    image = np.array(djpt.render(scene, spp=4, seed=3, integrator=nested))[..., :3]
+    alone = np.array(djpt.render(scene, spp=4, seed=3, integrator=djpt.load_dict({"type": kind})))
+    np.testing.assert_allclose(image, alone, atol=2e-6)
+    params = djpt.traverse(scene)
+    dr.enable_grad(params["red.reflectance.value"])
+    params.update()
+    with pytest.raises(RenderError, match="can't be differentiated"):
+        djpt.render(scene, params, spp=4, integrator=nested)

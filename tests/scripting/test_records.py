@@ -209,3 +209,46 @@ def test_records_take_the_names_of_mitsubas_arguments() -> None:
     zeros = {"uv": [0, 0], "time": 0, "pdf": 2, "delta": False, "d": [0, 0, 1], "dist": 4, "emitter": None}
     assert numbers(djpt.DirectionSample3f(p=[1, 2, 3], n=[0, 0, 1], **zeros).dist) == [4]
     assert numbers(djpt.Interaction3f(p=[0, 0, 0], n=[0, 0, 1], t=1).spawn_ray_to(t=djpt.Point3f(0, 0, 2)).d)[2] > 1.9
+
+
+def bounces(ray: Any, scene: Any, symbolic: bool) -> Any:
+    """Points and times of paths of mirrors, in a loop that carries each point into its next turn."""
+    before = dr.zeros(djpt.SurfaceInteraction3f)
+    si = scene.ray_intersect(ray)
+
+    def turn(ray: Any, si: Any, before: Any, i: Any) -> Any:
+        ray = si.spawn_ray(si.to_world(djpt.reflect(si.wi)))
+        return ray, scene.ray_intersect(ray), si, i + 1
+
+    state = (ray, si, before, djpt.UInt32(0))
+    if symbolic:
+        state = dr.while_loop(state, lambda ray, si, before, i: i < 3, turn)
+    else:
+        for _ in range(3):
+            state = turn(*state)
+    return state[:3]
+
+
+@pytest.mark.parametrize("time", [0, 0.5])
+def test_loops_carry_points_that_rays_leave(time: float) -> None:
+    """With a time and without, beside a point of `dr.zeros`, which has the time 0."""
+    scene = djpt.load_dict({"type": "scene", "ball": {"type": "sphere"}})
+    d = dr.normalize(djpt.Vector3f([0.1, -0.3, 0.9, 1], [0.2, 0.8, -0.1, -0.3], [1, 0.4, 0.5, 0.2]))
+    results = [bounces(djpt.Ray3f([0.3, 0.1, 0], d, time), scene, symbolic) for symbolic in (True, False)]
+    for looped, unrolled in zip(*results, strict=True):
+        assert dr.all(looped.time == time) and dr.all(unrolled.time == time)
+    for name in ("p", "n", "t"):
+        same(getattr(results[0][1], name), getattr(results[1][1], name))
+    assert dr.all(results[0][1].is_valid() & results[0][2].is_valid())
+
+
+def test_points_of_any_time_are_mixed() -> None:
+    """Rays that leave a point with a time that was assigned have it, whatever the point was made of."""
+    si = dr.zeros(djpt.SurfaceInteraction3f, 2)
+    si.time = djpt.Float(0.25, 0.5)
+    mixed = dr.select(djpt.Bool(True, False), si, dr.zeros(djpt.SurfaceInteraction3f, 2))
+    same(mixed.spawn_ray(djpt.Vector3f(0, 0, 1)).time, [0.25, 0])
+    hit = djpt.load_dict(djpt.cornell_box()).ray_intersect(djpt.Ray3f([0, 0, 0], [0, 0, -1]))
+    assert hit.spawn_ray(hit.n).times == ()
+    hit.time = djpt.Float(0.75)
+    same(hit.spawn_ray(hit.n).time, 0.75)

@@ -17,12 +17,14 @@ UNIT = [2 / 7, 3 / 7, 6 / 7]
 SPATIAL = {
     "identity": lambda m, t: t(),
     "translate": lambda m, t: t().translate([1, -2, 3.5]),
+    "translate by a number": lambda m, t: t().translate(-0.5),
     "translate by an array": lambda m, t: t().translate(m.ScalarPoint3f(1, -2, 3.5)),
     "scale": lambda m, t: t().scale([1, -2, 3.5]),
     "scale by a number": lambda m, t: t().scale(2),
     "rotate": lambda m, t: t().rotate(UNIT, 37),
     "rotate by keywords": lambda m, t: t().rotate(angle=-90, axis=[0, 0, 1]),
     "look_at": lambda m, t: t().look_at(origin=[1, 2, 3], target=[-3, 0.5, 1], up=[0, 1, 0.1]),
+    "look_at with a number": lambda m, t: t().look_at(origin=[1, 2, 3], target=0, up=[0, 1, 0]),
     "orthographic": lambda m, t: t().orthographic(0.5, 3),
     "orthographic by keywords": lambda m, t: t().orthographic(far=3, near=1),
     "chain": lambda m, t: t().translate([0, 0.99, 0.01]).rotate([1, 0, 0], 90).scale([0.23, 0.19, 0.19]),
@@ -57,6 +59,7 @@ PERSPECTIVE = {
 PLANAR = {
     "identity": lambda m, t: t(),
     "translate": lambda m, t: t().translate([1, -2]),
+    "translate by a number": lambda m, t: t().translate(-0.5),
     "scale": lambda m, t: t().scale([1, -2]),
     "rotate": lambda m, t: t().rotate(30),
     "chain": lambda m, t: t.rotate(angle=30).translate([1, 2]).scale(3),

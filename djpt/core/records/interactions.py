@@ -50,6 +50,23 @@ class Reference:
     """The geometric normal of the surface there, of either sign; None if the choice of emitters doesn't look at it."""
 
 
+class Clock:
+    """What is known about the time of a point while it runs through loops: that it is 0 in all lanes, or nothing.
+
+    All clocks are equal. So Dr.Jit mixes points of both kinds; it keeps the clock of the first argument of a select,
+    and that of the state that a loop begins with.
+    """
+
+    def __init__(self, at_zero: bool) -> None:
+        self.at_zero = at_zero
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Clock)
+
+    def __hash__(self) -> int:
+        return hash(Clock)
+
+
 class Interaction3f(Record):
     """A point of a ray: ``Interaction3f()``, ``Interaction3f(it)``, ``Interaction3f(t, time, wavelengths, p, n=0)``."""
 
@@ -58,6 +75,8 @@ class Interaction3f(Record):
     t: Float
     """Distance along the ray, in units of its `d`; infinity if there is no such point."""
     time: Float
+    clock: dict[Clock, tuple[()]]
+    """Whether the time is known to be 0; behind `time`, which resets it."""
     p: Point3f
     n: Normal3f
     """Geometric normal; 0 if there is no surface."""
@@ -73,6 +92,8 @@ class Interaction3f(Record):
         super().__init__(None, **{name: value for name, value in given.items() if value is not None})
 
     def default(self, name: str) -> Any:
+        if name == "clock":
+            return {Clock(False): ()}
         return Float(dr.inf) if name == "t" else super().default(name)
 
     def zero_(self, size: int = 1) -> None:
@@ -93,7 +114,16 @@ class Interaction3f(Record):
     def __setattr__(self, name: str, value: Any) -> None:
         if name == "t":
             self.__dict__.pop("_valid", None)
+        if name == "time":
+            self.__dict__.pop("clock", None)
         super().__setattr__(name, value)
+
+    def arrived_with(self, ray: Ray3f) -> None:
+        """Take over the time of a ray; rays that leave have none if it has none, also in later turns of a loop."""
+        if ray.times:
+            self.time = ray.time
+        else:
+            self.clock = {Clock(True): ()}
 
     def offset_p(self, d: Vector3f) -> Point3f:
         """The point moved off the surface, to the side that `d` points to.
@@ -118,7 +148,8 @@ class Interaction3f(Record):
     def _along(self, o: Point3f, d: Vector3f, maxt: Float, leaving: Vector3f) -> Ray3f:
         """A ray with the time of the interaction, in the medium on the side that `leaving` points to."""
         ray = Ray3f(o, d, maxt=maxt, medium=self.medium_beyond(leaving))
-        if "time" in self.__dict__:
+        at_zero = any(clock.at_zero for clock in self.clock)
+        if "time" in self.__dict__ and not at_zero:
             ray.time = self.time
         return ray
 
@@ -466,8 +497,7 @@ class MediumInteraction3f(Interaction3f):
     def on(ray: Ray3f, t: Float, p: Point3f | None = None) -> MediumInteraction3f:
         """The point of a ray at `t`; `p` is that point if it is known."""
         mei: MediumInteraction3f = MediumInteraction3f.holding(t=t, p=ray(t) if p is None else p, wi=-ray.d)
-        if ray.times:
-            mei.time = ray.time
+        mei.arrived_with(ray)
         return mei
 
     def default(self, name: str) -> Any:

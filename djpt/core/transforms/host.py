@@ -85,26 +85,23 @@ class HostTransform(Transform):
 
     @Chained
     def translate(kind: Any, v: Any) -> Matrix:
-        """Move by `v`."""
+        """Move by `v`, one number per axis or one for all."""
         matrix = np.eye(kind.size)
-        matrix[:-1, -1] = kind._numbers(v)
+        matrix[:-1, -1] = kind._per_axis(v)
         return matrix
 
     @Chained
     def scale(kind: Any, v: Any) -> Matrix:
         """Scale by a number, or by one per axis."""
-        factors = as_array(v)
-        if factors.shape not in ((), (kind.size - 1,)):
-            raise SceneError(f"must be one or {COUNTS[kind.size - 1]} numbers, found {describe(v)}")
-        return np.diag([*np.broadcast_to(factors, kind.size - 1), 1.0])
+        return np.diag([*kind._per_axis(v), 1.0])
 
     @classmethod
-    def _numbers(cls, v: Any) -> Matrix:
-        """One number per axis."""
-        array = as_array(v)
-        if array.shape != (cls.size - 1,):
-            raise SceneError(f"must be {COUNTS[cls.size - 1]} numbers, found {describe(v)}")
-        return array
+    def _per_axis(cls, v: Any) -> Matrix:
+        """One number per axis, of which `v` may be all."""
+        array, n = as_array(v), cls.size - 1
+        if array.shape not in ((), (n,)):
+            raise SceneError(f"must be one or {COUNTS[n]} numbers, found {describe(v)}")
+        return np.broadcast_to(array, n)
 
     # ---- composing and applying --------------------------------------------------------
 
@@ -246,15 +243,15 @@ class SpatialHostTransform(HostTransform):
         The columns are left = up x direction, the corrected up, direction and origin; so +x points
         to the left of the image.
         """
-        eye = as_vector(origin)
-        direction = as_vector(target) - eye
+        eye, up = kind._per_axis(origin), kind._per_axis(up)
+        direction = kind._per_axis(target) - eye
         if not direction.any():
             raise SceneError(f"origin and target are the same point {eye.tolist()}")
         direction /= np.linalg.norm(direction)
-        left = cross_product(as_vector(up), direction)
+        left = cross_product(up, direction)
         length = np.linalg.norm(left)
-        if length <= 1e-9 * np.linalg.norm(as_vector(up)):
-            raise SceneError(f"up = {as_vector(up).tolist()} is zero or parallel to the direction of view")
+        if length <= 1e-9 * np.linalg.norm(up):
+            raise SceneError(f"up = {up.tolist()} is zero or parallel to the direction of view")
         left /= length
         matrix = np.eye(4)
         matrix[:3] = np.stack([left, cross_product(direction, left), direction, eye], axis=1)
