@@ -53,6 +53,7 @@ def test_the_file_has_the_bits_of_the_image(
     np.testing.assert_array_equal(read_pixels(tmp_path / "a.npy"), djpt.render(scene, **options).numpy())
 
 
+@pytest.mark.sparse(2)
 @pytest.mark.parametrize(
     "integrator", [AOVS, CENTRES, {"type": "ptracer", "max_depth": 3}], ids=lambda i: str(i["type"])
 )
