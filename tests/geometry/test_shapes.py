@@ -244,6 +244,7 @@ def test_surface_is_mitsubas(name: str, pose: T, flip: bool) -> None:
         assert np.quantile(np.abs(a - b), 0.999) < 1e-3, f"sh_frame.{axis}"
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize(("name", "pose", "flip"), poses())
 def test_frames_are_orthonormal(name: str, pose: T, flip: bool) -> None:
     o, d = random_rays(np.random.default_rng(3), pose, "outside")

@@ -111,6 +111,7 @@ class TestEmission:
         # Rays back to an edge may miss it; where bright and dark meet, rounding decides.
         assert close.mean() > 0.98
 
+    @pytest.mark.sparse(3)
     def test_densities_are_found_again(self, source: dict[str, Any] | str) -> None:
         scene = scene_of(source)
         es = emitted(scene, seed=1)

@@ -137,6 +137,7 @@ class TheirQuery(Query):
         self.si, self.albedo = si, wide(albedo)
 
 
+@pytest.mark.sparse(2)
 @pytest.mark.narrow
 @pytest.mark.parametrize("description", NESTED.values(), ids=NESTED)
 def test_answers_are_mitsubas(description: dict[str, Any], mi: Any) -> None:
@@ -290,6 +291,7 @@ def test_gradients_by_shares(description: dict[str, Any], name: str) -> None:
     assert gradient == pytest.approx(slope, rel=0.02, abs=0.1)
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize(
     ("description", "name"),
     [

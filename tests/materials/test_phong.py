@@ -142,6 +142,7 @@ def test_edits_that_reflect_too_much_are_taken_back(kind: str) -> None:
     params.update()
 
 
+@pytest.mark.sparse(2)
 @pytest.mark.parametrize("name", ["exponent", "specular_reflectance", "diffuse_reflectance"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_gradients_against_differences(kind: str, name: str) -> None:

@@ -80,6 +80,7 @@ def described(values: dict[str, Any]) -> dict[str, Any]:
     return {"type": "principled", "base_color": COLOR, **values}
 
 
+@pytest.mark.sparse(3)
 @MODES
 @pytest.mark.parametrize("values", CASES)
 def test_values_are_mitsubas(values: dict[str, Any], mode: int) -> None:

@@ -68,6 +68,7 @@ def test_values_are_mitsubas(values: dict[str, Any], mode: int) -> None:
     compare_values(described(values), mode)
 
 
+@pytest.mark.sparse(3)
 @MODES
 @pytest.mark.parametrize("values", CASES)
 def test_samples_are_mitsubas(values: dict[str, Any], mode: int) -> None:

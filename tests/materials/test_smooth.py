@@ -33,6 +33,7 @@ from tests.kit.smooth_materials import (
 # ---------------------------------------------------------------- as in Mitsuba
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("mode", TransportMode)
 @pytest.mark.parametrize("description", CASES.values(), ids=CASES)
 def test_samples_are_mitsubas(description: dict[str, Any], mode: TransportMode) -> None:
@@ -161,6 +162,7 @@ DERIVATIVES: list[tuple[dict[str, Any], str]] = [
 ]
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize(("description", "key"), DERIVATIVES, ids=[f"{d['type']} {k}" for d, k in DERIVATIVES])
 def test_weights_have_the_derivative_of_their_expectation(description: dict[str, Any], key: str) -> None:
     """Of each lobe by itself (by its own function of the outgoing direction), averaged over `sample1`."""

@@ -193,6 +193,7 @@ def test_edits_take_effect_and_compile_nothing() -> None:
     np.testing.assert_allclose(pixels(djpt.render(scene, spp=4)), ours(box(16, "box", PATH, edited), 4), rtol=1e-5)
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("name", ["red.tint", "red.rim", "white.tint", "small-box.bsdf.rim", "sheet.bsdf.tint"])
 def test_gradients_against_differences(name: str) -> None:
     scene = djpt.load_dict(box(16, "box", PRB, scripted))

@@ -21,6 +21,7 @@ LEVEL = 1e-4
 """Of each test: with some twenty of them, one false alarm in five hundred changes of the random numbers."""
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("name", PHASES)
 def test_samples_follow_the_density(name: str) -> None:
     functions = PhaseFunctionAdapter(PHASES[name]["type"], described(name), TILTED)

@@ -132,6 +132,7 @@ def test_render_takes_the_rounded_count() -> None:
 # ---------------------------------------------------------------- each stream by itself
 
 
+@pytest.mark.sparse(2)
 @every()
 def test_numbers_are_uniform(description: dict[str, Any]) -> None:
     """Over many pixels and dimensions: range, mean, variance, and a chi-squared test of the first sample."""

@@ -145,6 +145,7 @@ def image() -> np.ndarray:
     return pixels(djpt.load_dict(room(), optimize=False))
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("loader", LOADERS)
 @pytest.mark.parametrize("name", REWRITINGS)
 def test_each_rewriting_gives_the_same_bits(name: str, loader: str, image: np.ndarray) -> None:

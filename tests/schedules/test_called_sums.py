@@ -47,6 +47,7 @@ def image(rfilter: dict, name: str, **film: object) -> np.ndarray:
         return np.array(djpt.render(scene(rfilter, **film), spp=7, seed=3))
 
 
+@pytest.mark.sparse(2)
 @by_calls
 @pytest.mark.parametrize("rfilter", FILTERS, ids=lambda f: "-".join(str(v) for v in f.values()))
 def test_same_bits_as_registers(rfilter):

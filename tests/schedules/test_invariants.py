@@ -222,6 +222,7 @@ def test_moves_compile_nothing(name: str, gradients: tuple[str, ...]) -> None:
     assert transform(watched, shape, motion.inverse()) == 0
 
 
+@pytest.mark.sparse(4)
 @pytest.mark.parametrize("name", MOVES)
 def test_moved_in_place_or_from_the_start(name: str) -> None:
     """An edited scene shows what a scene described so would show."""

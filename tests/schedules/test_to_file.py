@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -53,6 +54,7 @@ def test_the_file_has_the_bits_of_the_image(
     np.testing.assert_array_equal(read_pixels(tmp_path / "a.npy"), djpt.render(scene, **options).numpy())
 
 
+@pytest.mark.sparse(2)
 @pytest.mark.parametrize(
     "integrator", [AOVS, CENTRES, {"type": "ptracer", "max_depth": 3}], ids=lambda i: str(i["type"])
 )
@@ -84,7 +86,7 @@ def test_meshes(queries: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
 def test_files_say_what_they_are(tmp_path: Path) -> None:
     djpt.render_to_file(box(), tmp_path / "a.exr", spp=2, seed=9, metadata={"job": "cover"})
     facts = djpt.read_metadata(tmp_path / "a.exr")
-    assert float(facts.pop("seconds")) > 0
+    assert re.fullmatch(r"\d+\.\d\d", facts.pop("seconds")), "0.00 for less than 5 ms, with kernels of another test"
     expected = {"integrator": "path", "sampler": "independent", "sensor": "0", "spp": "2", "seed": "9", "job": "cover"}
     assert facts == {"Software": f"djpt {djpt.__version__}", **expected}
 

@@ -93,6 +93,7 @@ def test_a_tensor_becomes_a_block(mi: Any) -> None:
 FORMATS = ("luminance", "luminance_alpha", "rgb", "rgba", "xyz", "xyza")
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("pixel_format", FORMATS)
 def test_films_develop_as_mitsubas(mi: Any, pixel_format: str) -> None:
     developed = []

@@ -74,11 +74,13 @@ QUERIES: list[Callable[[Any], Any]] = [
 ]
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("call", CALLS)
 def test_same_numbers(call: Callable[[Any], Any], mi: Any) -> None:
     same(call, mi, rtol=3e-5)
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("make", DISTRIBUTIONS)
 def test_microfacets_have_mitsubas_numbers(make: Callable[[Any], Any], mi: Any) -> None:
     for query in QUERIES:

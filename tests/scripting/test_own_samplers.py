@@ -79,6 +79,7 @@ def test_images_are_mitsubas(mi: Any, integrator: str, rfilter: str) -> None:
     np.testing.assert_allclose(mine, his, rtol=1e-4, atol=1e-5)
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("integrator", ["path", "direct", "depth", "moment", "whitted"])
 def test_images_are_those_of_any_sampler(integrator: str) -> None:
     """Those of `stratified`, say, within noise."""

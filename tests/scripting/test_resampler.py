@@ -36,6 +36,7 @@ def test_filters_answer_as_mitsubas(mi: Any, name: str) -> None:
     assert djpt.ReconstructionFilter is djpt.BitmapReconstructionFilter
 
 
+@pytest.mark.sparse(5)
 @pytest.mark.parametrize("name", FILTERS)
 @pytest.mark.parametrize("boundary", list(FilterBoundaryCondition))
 def test_arrays_are_resampled_as_by_mitsuba(mi: Any, name: str, boundary: FilterBoundaryCondition) -> None:

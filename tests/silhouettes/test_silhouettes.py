@@ -153,6 +153,7 @@ def test_projections_are_mitsubas(name: str) -> None:
         same_samples(a, b, but=("pdf", "foreshortening"))
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("name", [*ANALYTIC, "mesh"])
 def test_precomputed_silhouettes_are_mitsubas(name: str) -> None:
     u = np.random.default_rng(8).random(60, np.float32) * 0.98 + 0.01

@@ -153,6 +153,7 @@ def test_other_derivatives_are_not_refused(name: str) -> None:
     assert np.isfinite(np.array(dr.grad(image))).all()
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("name", SCENES)
 def test_what_is_compared_with_differences_is_not_refused(name: str) -> None:
     parts = SCENES[name]()
