@@ -26,7 +26,7 @@ from djpt.rendering.image import channel_names
 from djpt.rendering.progressive.accumulation import luminance
 from djpt.rendering.progressive.rounds import Rounds, RoundSums, round_seed
 from djpt.rendering.settings import RenderSettings, find_integrator
-from djpt.scene.arguments import find_sensor
+from djpt.scene.scene import find_sensor
 from djpt.sensors.orthographic import Orthographic
 from djpt.sensors.projective import ProjectiveCamera
 
