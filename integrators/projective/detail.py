@@ -11,11 +11,18 @@ from typing import Any
 import drjit as dr
 
 from djpt.core.records import SHADOW_EPSILON, DiscontinuityFlags, Interaction3f, RayFlags, SurfaceInteraction3f
-from djpt.distributions.distributions_1d import DiscreteDistribution
 from djpt.errors import RenderError
-from djpt.integrators.projective.guiding import BaseGuidingDistr, GridDistr, OcSpaceDistr, UniformDistr, places_of
+from djpt.integrators.projective.guiding import (
+    UNIFORM_SHARE,
+    BaseGuidingDistr,
+    GridDistr,
+    OcSpaceDistr,
+    UniformDistr,
+    places_of,
+)
+from djpt.integrators.projective.outlines import Outlines
 from djpt.integrators.projective.projection import ProjectOperation
-from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32
+from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f
 from djpt.sensors.perspective import Perspective
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
@@ -32,44 +39,22 @@ class ProjectiveDetail:
 
     def __init__(self, parent: Any) -> None:
         self.parent = parent
-        self.primary_indices: list[UInt32] = []
-        self.primary_distributions: list[DiscreteDistribution] = []
-        self.primary_shape_distribution: DiscreteDistribution | None = None
+        self.outlines: Outlines | None = None
         self.guiding_distr: BaseGuidingDistr | None = None
 
     # ---- silhouettes that the camera sees ----------------------------------------------------
 
     def init_primarily_visible_silhouette(self, scene: Any, sensor: Any) -> None:
         """Find the silhouettes as the sensor sees them, of all shapes that move."""
-        shapes = scene.silhouette_shapes()
         viewpoint = sensor.world_transform().transform_point([0, 0, 0])
-        parts = [shape.precompute_silhouette(viewpoint) for shape in shapes]
-        self.primary_indices = [indices for indices, _ in parts]
-        self.primary_distributions = [
-            DiscreteDistribution(weights if dr.width(weights) else Float(0)) for _, weights in parts
-        ]
-        seen = [float(dr.width(weights) > 0) for _, weights in parts]
-        weights = [s * shape.silhouette_sampling_weight() for s, shape in zip(seen, shapes, strict=True)]
-        self.primary_shape_distribution = DiscreteDistribution(Float(weights))
+        self.outlines = Outlines(scene.silhouette_shapes(), viewpoint)
 
     def sample_primarily_visible_silhouette(
         self, scene: Any, viewpoint: Any, sample2: Point2f, active: Bool | bool
     ) -> SilhouetteSample3f:
-        """A point of the silhouettes as seen from `viewpoint`; `pdf` is per unit length."""
-        assert self.primary_shape_distribution is not None
-        number, u, chance = self.primary_shape_distribution.sample_reuse_pmf(sample2.x, active)
-        result = SilhouetteSample3f()
-        for k, shape in enumerate(scene.silhouette_shapes()):
-            if not dr.width(self.primary_indices[k]):
-                continue
-            mine = active & (number == k)
-            place, part_chance = self.primary_distributions[k].sample_pmf(u, mine)
-            part = dr.gather(UInt32, self.primary_indices[k], place, mine)
-            valid = mine & (part_chance > 0) & (chance > 0)
-            ss = shape.sample_precomputed_silhouette(viewpoint, part, sample2.y, valid)
-            ss.pdf, ss.scene_index = ss.pdf * part_chance * chance, UInt32(k)
-            result = dr.select(valid, ss, result)
-        return result
+        """A point of the silhouettes as the sensor sees them; `pdf` is per unit length."""
+        assert self.outlines is not None
+        return self.outlines.sample(sample2, active)
 
     def sensor_jacobian(self, sensor: Any, ss: SilhouetteSample3f) -> Float:
         """The area on the film, which is a unit square, of the unit square of `silhouette_d` and `n` at silhouettes."""
@@ -165,11 +150,12 @@ class ProjectiveDetail:
 
     def _grid(self) -> GridDistr:
         parent = self.parent
-        return GridDistr(parent.guiding_grid_reso, parent.clamp_mass_thres, parent.scale_mass)
+        reso, least = parent.guiding_grid_reso, parent.clamp_mass_thres
+        return GridDistr(reso, least, parent.scale_mass, uniform_share=UNIFORM_SHARE)
 
     def _use(self, grid: GridDistr, mass: Float) -> None:
         """Guide by a grid, unless nothing was found."""
-        self.guiding_distr = None
+        self.guiding_distr = UniformDistr()
         if dr.any(mass > 0):
             grid.set_mass(mass)
             self.guiding_distr = grid
@@ -196,6 +182,7 @@ class ProjectiveDetail:
             parent.octree_highres_x_slices,
             parent.octree_scatter_inc,
             parent.scale_mass,
+            uniform_share=UNIFORM_SHARE,
         )
         nx, ny, nz = parent.guiding_grid_reso
         if parent.guiding_proj:
@@ -208,7 +195,7 @@ class ProjectiveDetail:
             points, active = Point3f(sampler.next_1d(), sampler.next_1d(), sampler.next_1d()), Bool(True)
         mass = self._mass(scene, sensor, points, sampler, active)
         dr.eval(points, mass)
-        self.guiding_distr = None
+        self.guiding_distr = UniformDistr()
         count = dr.width(places_of(mass > 0))
         if not count:
             return
@@ -219,7 +206,7 @@ class ProjectiveDetail:
         try:
             tree.set_points(points, mass, seed)
         except RenderError:
-            # What random points of the leaves can't find isn't worth a guide.
+            # Random points of the leaves find nothing: all points are alike.
             return
         self.guiding_distr = tree
 

@@ -239,7 +239,8 @@ class PSIntegrator(RBIntegrator):
         """The first surface point along rays, which pass through emitters `from_sensor` if these are hidden."""
         if not self.hide_emitters:
             return scene.ray_intersect(ray, active=active)
-        return scene.surface_interaction_of(scene.closest_hit(ray, active, through_lights=Bool(from_sensor)), ray)
+        found = scene.closest_hit(dr.detach(ray), active, through_lights=Bool(from_sensor))
+        return scene.surface_interaction_of(found, ray)
 
     def seed_rays(self, scene: Scene, sensor: Sensor, sampler: Sampler) -> tuple[Any, Bool]:
         """The rays of paths that `sample` offers for projection."""

@@ -67,25 +67,20 @@ def ball(bsdf: Any = PLASTER, **more: Any) -> dict[str, Any]:
 
 MIRROR_BEHIND = {"type": "disk", "bsdf": {"type": "conductor"}, "to_world": T().translate([0, 3, 0])}
 REFUSED: dict[str, tuple[dict[str, Any], str]] = {
-    "mirror": ({"other": MIRROR_BEHIND}, "'other' has the BSDF .*conductor.*what is seen in them"),
-    "glass": ({"moving": ball(GLASS)}, "'moving' has the BSDF .*dielectric.*what is seen in them or through them"),
+    "mirror": ({"other": MIRROR_BEHIND}, "'other' has the BSDF .*conductor.*the outlines of what is seen in them"),
+    "glass": ({"moving": ball(GLASS)}, "'moving' has the BSDF .*dielectric.*the outlines of what is seen in them or through them"),
     "thin glass": ({"moving": ball({"type": "thindielectric"})}, "'moving' has the BSDF"),
     "glass of ours": ({"moving": ball({"type": "glass"})}, "'moving' has the BSDF"),
     "mirror on two sides": (
         {"moving": ball({"type": "twosided", "nested": {"type": "conductor"}})},
         "'moving' has the BSDF .*twosided",
     ),
-    "rough glass": ({"moving": ball({"type": "roughdielectric"})}, "roughdielectric.*the direction in which light"),
-    "smooth plastic": ({"moving": ball({"type": "plastic"})}, r"plastic\), and the reflection in its coat"),
+    "smooth plastic": ({"moving": ball({"type": "plastic"})}, r"plastic\), and the outlines of what"),
     "mask": ({"moving": ball({"type": "mask", "opacity": 0.5, "nested": PLASTER})}, "mask.*of the layers behind"),
     "null": ({"moving": ball({"type": "null"})}, "null.*of the layers"),
     "bump map": (
         {"moving": ball({"type": "twosided", "n": {"type": "bumpmap", "t": BUMPS, "nested": PLASTER}})},
         "'moving' has the BSDF.*normals are bent",
-    ),
-    "textured lamp": (
-        {"moving": {"type": "rectangle", "emitter": {"type": "area", "radiance": {"type": "checkerboard"}}}},
-        "'moving' has the area light .*the texture stays behind",
     ),
     "point": (
         {"light": {"type": "point", "position": [1, 1, 5]}},
@@ -134,6 +129,11 @@ PROVEN: dict[str, dict[str, Any]] = {
     "a ball that stands on a floor": {"floor": {**FLOOR, "to_world": T().translate([0, 0, -1]).scale(4)}},
     "a rough mirror": {"moving": ball({"type": "roughconductor"})},
     "rough plastic": {"other": {**MIRROR_BEHIND, "bsdf": {"type": "roughplastic"}}},
+    "rough glass": {"moving": ball({"type": "roughdielectric"})},
+    "glass alone": {"lamp": None, "floor": None, "moving": ball(GLASS), "sky": {"type": "constant"}},
+    "a textured lamp": {
+        "moving": {"type": "rectangle", "emitter": {"type": "area", "radiance": {"type": "checkerboard"}}}
+    },
     "a bitmap": {"moving": ball({"type": "diffuse", "reflectance": {"type": "checkerboard"}})},
     "in a cube": {"lamp": None, "floor": None, "room": {"type": "cube", "to_world": T().scale(7)}},
     "in a sphere": {"lamp": None, "floor": None, "room": {"type": "sphere", "radius": 7.0, "flip_normals": True}},

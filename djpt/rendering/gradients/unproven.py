@@ -77,15 +77,27 @@ def named(plugin: Any) -> str:
     return f"'{plugin.id()}' ({name_of(type(plugin)) or type(plugin).__name__})"
 
 
-def of_lobes(*lobes: int) -> Callable[[Rendering], Iterator[str]]:
-    """Finds shapes whose BSDF has any of the lobes of each number."""
+def alone(rendering: Rendering) -> bool:
+    """Whether a single convex shape is all that rays can hit."""
+    return len(rendering.seen) == 1 and not recording() and is_convex(rendering.seen[0])
 
-    def found(rendering: Rendering) -> Iterator[str]:
-        for shape, bsdf in rendering.bsdfs():
-            if all(has_flag(bsdf.flags(), kind) for kind in lobes):
-                yield f"'{shape.id()}' has the BSDF {named(bsdf)}"
 
-    return found
+def of_lobes(rendering: Rendering, kind: int) -> Iterator[str]:
+    """Shapes whose BSDF has any of some lobes."""
+    for shape, bsdf in rendering.bsdfs():
+        if has_flag(bsdf.flags(), kind):
+            yield f"'{shape.id()}' has the BSDF {named(bsdf)}"
+
+
+def reflections(rendering: Rendering) -> Iterator[str]:
+    """Smooth surfaces, unless there is nothing else: a single convex shape doesn't see itself."""
+    if not alone(rendering):
+        yield from of_lobes(rendering, BSDFFlags.DeltaReflection | BSDFFlags.DeltaTransmission)
+
+
+def layers(rendering: Rendering) -> Iterator[str]:
+    """Surfaces that light passes straight through."""
+    return of_lobes(rendering, BSDFFlags.Null)
 
 
 def bent_normals(rendering: Rendering) -> Iterator[str]:
@@ -105,18 +117,9 @@ def bends_normals(bsdf: Any) -> bool:
     )
 
 
-def textured_lights(rendering: Rendering) -> Iterator[str]:
-    """Moving shapes with an area light whose radiance varies."""
-    for shape in rendering.moving:
-        radiance = getattr(shape.emitter(), "radiance", None)
-        if isinstance(radiance, Plugin) and not radiance.is_constant:  # type: ignore[attr-defined]
-            yield f"'{shape.id()}' has the area light {named(shape.emitter())} with the texture {named(radiance)}"
-
-
 def sharp_shadows(rendering: Rendering) -> Iterator[str]:
     """Lights without extent, unless nothing can be shadowed: a single convex shape shadows nothing."""
-    alone = len(rendering.seen) == 1
-    if alone and not recording() and is_convex(rendering.seen[0]):
+    if alone(rendering):
         return
     for emitter in rendering.emitters(EmitterFlags.Delta):
         yield f"{named(emitter)} shines"
@@ -176,40 +179,22 @@ CASES: tuple[Case, ...] = (
         hidden_lights,
     ),
     Case(
-        "smooth plastic",
-        "the reflection in its coat doesn't move",
-        "use a 'roughplastic'",
-        of_lobes(BSDFFlags.DeltaReflection, BSDFFlags.DiffuseReflection),
-    ),
-    Case(
-        "smooth mirrors and smooth glass",
-        "what is seen in them or through them doesn't move",
-        "use a 'roughconductor'",
-        of_lobes(BSDFFlags.DeltaReflection | BSDFFlags.DeltaTransmission),
-    ),
-    Case(
-        "rough glass",
-        "the direction in which light meets it is taken for fixed",
-        "use an opaque material",
-        of_lobes(BSDFFlags.GlossyTransmission),
+        "smooth mirrors, glass and plastic, unless one convex shape is all",
+        "the outlines of what is seen in them or through them aren't followed",
+        "use a rough material",
+        reflections,
     ),
     Case(
         "`mask`, `null` and other surfaces that light passes straight through",
         "of the layers behind each other only one has an outline",
         "use an opaque material",
-        of_lobes(BSDFFlags.Null),
+        layers,
     ),
     Case(
         "a normal map or a bump map on a shape that moves",
         "where normals are bent past the viewer light jumps, and that isn't followed",
         "use a mesh with the detail in its vertices",
         bent_normals,
-    ),
-    Case(
-        "a textured area light that moves",
-        "the texture stays behind where light is sampled",
-        "give the light a radiance that doesn't vary",
-        textured_lights,
     ),
     Case(
         "a `point`, `spot`, `directional`, `projector` or `directionalarea` light, unless one convex shape is all",
