@@ -43,6 +43,7 @@ class DirectProjectiveIntegrator(PSIntegrator):
     """
 
     pure = True
+    direct_light_only = True
     radiative_backprop = False
 
     def __init__(self, props: Properties) -> None:
@@ -128,13 +129,13 @@ class DirectProjectiveIntegrator(PSIntegrator):
         o, d = dr.select(second, next_ray.o, to_light.o), dr.select(second, next_ray.d, to_light.d)
         return Ray3f(o, d), by_light | second
 
-    def sample_radiance_difference(
-        self, scene: Any, ss: SilhouetteSample3f, curr_depth: Any, sampler: Any, wavelengths: Any, active: Any
-    ) -> tuple[Color3f, Bool]:
+    def sample_radiances(
+        self, scene: Any, ss: SilhouetteSample3f, curr_depth: Any, sampler: Any, active: Any
+    ) -> tuple[Color3f, Color3f, Bool]:
         depth = int(curr_depth[0]) if dr.is_array_v(curr_depth) else int(curr_depth)
         if depth not in (0, 1):
             raise RenderError(f"direct_projective: silhouettes are on the first two edges of a path, found {depth}")
-        ray = ss.spawn_ray(wavelengths)
+        ray = ss.spawn_ray()
         si, active = foreground(scene, scene.silhouette_shapes(), ss, active)
         if depth == 1:
             behind = scene.ray_intersect(ray, active=active)
@@ -142,8 +143,13 @@ class DirectProjectiveIntegrator(PSIntegrator):
         else:
             back = self.shade(scene, sampler, ray, 0, None, active)
             front = self.shade(scene, sampler, ray, 0, si, active)
-        difference = Color3f(dr.select(active, front - back, 0))
-        return difference, active & dr.any(difference != 0)
+        return dr.select(active, Color3f(front), 0), dr.select(active, Color3f(back), 0), active
+
+    def sample_radiance_difference(
+        self, scene: Any, ss: SilhouetteSample3f, curr_depth: Any, sampler: Any, wavelengths: Any, active: Any
+    ) -> tuple[Color3f, Bool]:
+        front, back, _ = self.sample_radiances(scene, ss, curr_depth, sampler, active)
+        return front - back, dr.any(front != back)
 
     def sample_importance(
         self,

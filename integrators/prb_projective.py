@@ -174,34 +174,54 @@ class PathProjectiveIntegrator(PSIntegrator):
 
         if backward and by_camera:
             with dr.resume_grad():
-                dr.backward_from(dr.dot(ray.o, rays.camera_o) + dr.dot(ray.d, rays.camera_d))
+                # The graph of the camera is needed again, for what moves on the film.
+                seen = dr.dot(ray.o, rays.camera_o) + dr.dot(ray.d, rays.camera_d)
+                dr.backward_from(seen, flags=dr.ADFlag.ClearInterior)
         seed_rays = Ray3f(o_seed, d_seed)
         return (L if primal else δL), covered, [], ((seed_rays, seeded) if project else L)
+
+    def sample_radiances(
+        self, scene: Any, ss: SilhouetteSample3f, curr_depth: Any, sampler: Any, active: Any
+    ) -> tuple[Color3f, Color3f, Bool]:
+        ray = ss.spawn_ray()
+        si, active = foreground(scene, scene.silhouette_shapes(), ss, active)
+        back = self.shade(scene, sampler, ray, curr_depth, None, active)
+        front = self.shade(scene, sampler, ray, curr_depth, si, active)
+        return dr.select(active, Color3f(front), 0), dr.select(active, Color3f(back), 0), active
 
     def sample_radiance_difference(
         self, scene: Any, ss: SilhouetteSample3f, curr_depth: Any, sampler: Any, wavelengths: Any, active: Any
     ) -> tuple[Color3f, Bool]:
-        ray = ss.spawn_ray(wavelengths)
-        si, active = foreground(scene, scene.silhouette_shapes(), ss, active)
-        back = self.shade(scene, sampler, ray, curr_depth, None, active)
-        front = self.shade(scene, sampler, ray, curr_depth, si, active)
-        difference = Color3f(dr.select(active, front - back, 0))
-        return difference, active & dr.any(difference != 0)
+        front, back, _ = self.sample_radiances(scene, ss, curr_depth, sampler, active)
+        return front - back, dr.any(front != back)
+
+    def sample_importance(
+        self,
+        scene: Any,
+        sensor: Any,
+        ss: SilhouetteSample3f,
+        max_depth: Any,
+        sampler: Any,
+        wavelengths: Any,
+        active: Any,
+    ) -> tuple[Color3f, Point2f, UInt32, Bool]:
+        found = self.sample_viewer(scene, sensor, ss, max_depth, sampler, active)
+        return found[0], found[1], found[2], found[3]
 
     @dr.syntax
-    def sample_importance(  # type: ignore[no-untyped-def]
-        self, scene, sensor, ss, max_depth, sampler, wavelengths, active
-    ):
+    def sample_viewer(self, scene, sensor, ss, max_depth, sampler, active):  # type: ignore[no-untyped-def]
         ctx = BSDFContext(TransportMode.Importance)
         back = SilhouetteSample3f(ss)
         back.d = -ss.d
-        start = back.spawn_ray(wavelengths)
+        start = back.spawn_ray()
         # The state of loops is an array from the start: what seems constant at first may not stay so.
         zero, longest = dr.opaque(Float, 0, sampler.wavefront_size()), opaque(UInt32(max_depth))
         o, d = Point3f(start.o) + zero, Vector3f(start.d) + zero
         active = Bool(active) & (zero == 0)
         β, W, place = Color3f(1) + zero, Color3f(zero), Point2f(zero)
         edges, found, count = UInt32(1) + UInt32(zero), UInt32(zero), UInt32(zero)
+        # The ray from the second vertex to the first.
+        o_viewer, d_viewer = Point3f(zero), Vector3f(zero) + 1
 
         while dr.hint(active, label="vertices to the sensor"):
             si = scene.ray_intersect(Ray3f(o, d), active)
@@ -210,6 +230,8 @@ class PathProjectiveIntegrator(PSIntegrator):
             it = Interaction3f(0, 0, [], si.p)
             ds, importance = sensor.sample_direction(it, sampler.next_2d(), active)
             edges += dr.select(active, UInt32(1), 0)
+            is_second = active & (edges == 3)
+            o_viewer, d_viewer = dr.select(is_second, si.p, o_viewer), dr.select(is_second, -d, d_viewer)
             connects = active & has_flag(bsdf.flags(), SMOOTH) & dr.any(importance != 0)
             connects &= ~scene.ray_test(si.spawn_ray_to(ds.p), connects)
             count += dr.select(connects, UInt32(1), 0)
@@ -227,7 +249,7 @@ class PathProjectiveIntegrator(PSIntegrator):
             onward = si.spawn_ray(si.to_world(bs.wo))
             o, d = Point3f(onward.o), Vector3f(onward.d)
 
-        return W * Float(count), place, found, dr.any(W != 0)
+        return W * Float(count), place, found, dr.any(W != 0), Ray3f(o_viewer, d_viewer)
 
 
 register_integrator("prb_projective", PathProjectiveIntegrator)

@@ -59,8 +59,8 @@ class Changes:
         zero = dr.zeros(Vector3f, lanes)
         with dr.resume_grad():
             attached = [value for value in (ray.o, ray.d) if dr.grad_enabled(value)]
-            for value in attached:
-                dr.forward_to(value, flags=dr.ADFlag.ClearNone)
+            if attached:
+                dr.forward_to(*attached, flags=dr.ADFlag.ClearEdges)
             return Changes(zero + Vector3f(dr.grad(ray.o)), zero + Vector3f(dr.grad(ray.d)), zero)
 
     def attach(self, ray: Ray3f, previous: Point3f) -> tuple[Ray3f, Point3f]:

@@ -22,6 +22,7 @@ from djpt.integrators.projective.guiding import (
 )
 from djpt.integrators.projective.outlines import Outlines
 from djpt.integrators.projective.projection import ProjectOperation
+from djpt.integrators.projective.receivers import Receiver
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f
 from djpt.sensors.perspective import Perspective
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
@@ -56,21 +57,35 @@ class ProjectiveDetail:
         assert self.outlines is not None
         return self.outlines.sample(sample2, active)
 
+    def speed_on_film(self, sensor: Any, ss: SilhouetteSample3f, active: Bool | bool) -> Float:
+        """The area that a unit of length of outlines sweeps on the film, a unit square: 0, attached.
+
+        Points stick to their shapes, and the film moves with the sensor: both count.
+        """
+        assert self.outlines is not None
+        moved = place_on_film(sensor, self.outlines.follow(ss, active))
+        change = moved - dr.detach(moved)
+        tangent, outward = self._film_vectors(sensor, ss)
+        side = dr.mulsign(Float(1), tangent.x * outward.y - tangent.y * outward.x)
+        return dr.select(active, (tangent.x * change.y - tangent.y * change.x) * side, 0)
+
     def sensor_jacobian(self, sensor: Any, ss: SilhouetteSample3f) -> Float:
         """The area on the film, which is a unit square, of the unit square of `silhouette_d` and `n` at silhouettes."""
+        a, b = self._film_vectors(sensor, ss)
+        return dr.abs(a.x * b.y - a.y * b.x)
+
+    def _film_vectors(self, sensor: Any, ss: SilhouetteSample3f) -> tuple[Point2f, Point2f]:
+        """How far points move on the film, a unit square, along `silhouette_d` and along `n`."""
         with dr.resume_grad():
             steps = [Float(0), Float(0)]
             dr.enable_grad(steps)
             places = []
             for step, direction in zip(steps, (ss.silhouette_d, ss.n), strict=True):
-                it = dr.zeros(Interaction3f)
-                it.p = dr.fma(direction, step, dr.detach(ss.p))
-                places.append(sensor.sample_direction(it, Point2f(0))[0].uv)
+                places.append(place_on_film(sensor, dr.fma(dr.detach(direction), step, dr.detach(ss.p))))
                 dr.set_grad(step, 1)
                 dr.enqueue(dr.ADMode.Forward, step)
             dr.traverse(dr.ADMode.Forward)
-            a, b = (dr.grad(place) / Point2f(sensor.film().crop_size()) for place in places)
-        return dr.abs(a.x * b.y - a.y * b.x)
+            return dr.grad(places[0]), dr.grad(places[1])
 
     def eval_primary_silhouette_radiance_difference(
         self, scene: Any, sampler: Any, ss: SilhouetteSample3f, sensor: Any, active: Bool | bool = True
@@ -229,16 +244,20 @@ class ProjectiveDetail:
             lune = DiscontinuityFlags.DirectionLune if parent.guiding == "none" else DiscontinuityFlags.DirectionSphere
             ss = scene.sample_silhouette(Point3f(sample), int(DiscontinuityFlags.AllTypes | lune), active)
             active = active & ss.is_valid()
-            importance, place, depth, reached = parent.sample_importance(
-                scene, sensor, ss, parent.max_depth, sampler, [], active
+            importance, place, edges, reached, viewer = parent.sample_viewer(
+                scene, sensor, ss, parent.max_depth, sampler, active
             )
             active = active & reached
-            difference, differs = parent.sample_radiance_difference(scene, ss, depth - 1, sampler, [], active)
-            active = active & differs
-            value = dr.select(active, importance * difference * (ss.foreshortening * dr.rcp(ss.pdf)), 0)
+            front, back, known = parent.sample_radiances(scene, ss, edges - 1, sampler, active)
+            active = active & known
+            weight = dr.select(active, importance * (ss.foreshortening * dr.rcp(ss.pdf)), 0)
             if preprocess:
-                return dr.abs(value), [], Point2f(0)
-        return Color3f(value) * self.speed(scene, ss, active), [], place
+                moves = Receiver(scene, sensor, ss, place, edges, viewer, active).moves()
+                return weight * (dr.abs(front - back) + dr.select(moves, back, 0)), [], Point2f(0)
+            behind = scene.ray_intersect(ss.spawn_ray(), active=active).t
+        receiver = Receiver(scene, sensor, ss, place, edges, viewer, active)
+        value = Color3f(front - back) * self.speed(scene, ss, active) + Color3f(back) * receiver.speed_at_edge(behind)
+        return Color3f(weight) * value, [], place
 
     def speed(self, scene: Any, ss: SilhouetteSample3f, active: Bool | bool) -> Float:
         """The speed of silhouettes along their normals: 0, attached to the parameters of the shapes."""
@@ -246,3 +265,10 @@ class ProjectiveDetail:
         si.p, si.prim_index, si.uv = dr.detach(ss.p), ss.prim_index, ss.uv
         followed = scene.silhouette_shape(ss.scene_index).differential_motion(si, active)
         return dr.select(active, dr.dot(followed - dr.detach(followed), dr.detach(ss.n)), 0)
+
+
+def place_on_film(sensor: Any, p: Point3f) -> Point2f:
+    """Where a sensor sees points, on a film that is a unit square."""
+    it = dr.zeros(Interaction3f)
+    it.p = p
+    return Point2f(sensor.sample_direction(it, Point2f(0))[0].uv / Point2f(sensor.film().crop_size()))

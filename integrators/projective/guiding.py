@@ -235,13 +235,17 @@ class OcSpaceDistr(BaseGuidingDistr):
         self, aabb_min: Point3f, aabb_max: Point3f, seed: UInt32 | int, log: bool = False
     ) -> Float:
         """The mean of the imitated function in each leaf, from `extra_spc` random points."""
+        return self._values_in_leaves(aabb_min, aabb_max, seed, 1) / self.extra_spc
+
+    def _values_in_leaves(self, aabb_min: Point3f, aabb_max: Point3f, seed: UInt32 | int, power: int) -> Float:
+        """The sum of a power of the imitated function at `extra_spc` random points of each leaf."""
         from djpt.description.loader import load_dict
 
         sampler: Any = load_dict({"type": "independent"})
         sampler.seed(0xFFFFFFFF ^ seed, dr.width(aabb_min) * self.extra_spc)
         low, high = dr.repeat(aabb_min, self.extra_spc), dr.repeat(aabb_max, self.extra_spc)
         value = self.eval_indirect_integrand_handle(dr.lerp(low, high, three(sampler)), sampler)[0]
-        return dr.block_sum(dr.max(value), self.extra_spc) / self.extra_spc
+        return dr.block_sum(dr.power(dr.max(value), power), self.extra_spc)
 
     def set_points(self, points: Point3f, mass: Float, seed: UInt32 | int = 0, log: bool = False) -> None:
         """Learn the density from points of the cube and their masses; those of mass 0 don't count.
@@ -253,13 +257,16 @@ class OcSpaceDistr(BaseGuidingDistr):
         if not dr.width(kept):
             raise RenderError("OcSpaceDistr: no sample has mass above the threshold: use more samples, or lower it")
         low, high, leaf = self._leaves(dr.gather(Point3f, points, kept))
-        mean = self.estimate_mass_in_leaves(low, high, seed, log)
         if self.uniform_share > 0:
-            # What the points themselves know of the leaves that random points find empty.
-            known, count = dr.zeros(Float, dr.width(low)), dr.full(Float, self.extra_spc, dr.width(low))
-            dr.scatter_add(known, dr.gather(Float, mass, kept), leaf)
+            # Samples vary least if leaves are chosen by the root of the mean square. It counts leaves in which most
+            # random points find nothing, and the points themselves know of more such leaves.
+            known = self._values_in_leaves(low, high, seed, 2)
+            count = dr.full(Float, self.extra_spc, dr.width(low))
+            dr.scatter_add(known, dr.square(dr.gather(Float, mass, kept)), leaf)
             dr.scatter_add(count, Float(1), leaf)
-            mean = dr.fma(mean, self.extra_spc, known) / count
+            mean = dr.sqrt(known / count)
+        else:
+            mean = self.estimate_mass_in_leaves(low, high, seed, log)
         size = high - low
         box_mass = mean * size.x * size.y * size.z
         # Where there is hardly any mass, a sample would have an enormous weight.

@@ -11,9 +11,17 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.core.records import BSDFContext, BSDFFlags, DirectionSample3f, EmitterFlags, Ray3f, SurfaceInteraction3f, has_flag
+from djpt.core.records import (
+    BSDFContext,
+    BSDFFlags,
+    DirectionSample3f,
+    EmitterFlags,
+    Ray3f,
+    SurfaceInteraction3f,
+    has_flag,
+)
 from djpt.integrators.projective.weights import solid_angle_to_area_jacobian
-from djpt.jit.types import Bool, Color3f, Float, Point3f, Vector3f
+from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point3f, Vector3f
 from djpt.shapes.silhouettes.base import with_gradient
 
 __all__ = [
@@ -26,6 +34,9 @@ __all__ = [
     "mirrored",
     "relative",
 ]
+
+GRAZING = 1e-3
+"""The cosine below which the solid angle of an area isn't differentiated: a millionth of a ball's picture."""
 
 
 def relative(value: Any) -> Any:
@@ -94,8 +105,7 @@ def attached_light(
         arriving = dr.select(on_lamp & hit.is_valid(), hit.emitter(scene).eval(hit, on_lamp), arriving)
     inverse = dr.select(ds.pdf != 0, dr.rcp(dr.detach(ds.pdf)), 0)
     plain = dr.select(active & dr.any(weight != 0), arriving * inverse, 0)
-    jacobian = solid_angle_to_area_jacobian(si.p, dr.detach(ds.p), dr.detach(ds.n), on_lamp)
-    return d, Color3f(with_gradient(weight, plain)) * relative(jacobian)
+    return d, Color3f(with_gradient(weight, plain)) * relative_solid_angle(si.p, ds.p, ds.n, on_lamp)
 
 
 def bsdf_weight(
@@ -103,5 +113,15 @@ def bsdf_weight(
 ) -> Color3f:
     """1 per channel, with the relative derivative of a BSDF's value along `d`, times that of the solid angle."""
     value = bsdf.eval(BSDFContext(), si, si.to_local(direction_to(si, target, d)), active)
-    jacobian = solid_angle_to_area_jacobian(si.p, dr.detach(target.p), dr.detach(target.n), active & target.is_valid())
-    return Color3f(relative(value)) * relative(jacobian)
+    return Color3f(relative(value)) * relative_solid_angle(si.p, target.p, target.n, active & target.is_valid())
+
+
+def relative_solid_angle(o: Point3f, p: Point3f, n: Normal3f, active: Bool) -> Float:
+    """1, with the relative derivative by `o` of the solid angle of an area at `p` whose normal is `n`; both stay.
+
+    It grows without bound where the area is seen at a grazing angle, and below `GRAZING` is left out.
+    """
+    p, n = dr.detach(p), dr.detach(n)
+    d = p - dr.detach(o)
+    counts = active & (dr.abs(dr.dot(n, d)) > GRAZING * dr.norm(d))
+    return relative(solid_angle_to_area_jacobian(o, p, n, counts))  # type: ignore[no-any-return]

@@ -11,7 +11,7 @@ import pytest
 
 import djpt
 from djpt.core.transforms import ScalarTransform4f as T
-from djpt.errors import RenderError
+from djpt.errors import DjptError, RenderError
 from djpt.jit.types import Float, TensorXf
 from djpt.rendering.gradients.unproven import CASES
 from djpt.scene.intersecting_shapes import between, is_convex, may_intersect
@@ -68,7 +68,10 @@ def ball(bsdf: Any = PLASTER, **more: Any) -> dict[str, Any]:
 MIRROR_BEHIND = {"type": "disk", "bsdf": {"type": "conductor"}, "to_world": T().translate([0, 3, 0])}
 REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     "mirror": ({"other": MIRROR_BEHIND}, "'other' has the BSDF .*conductor.*the outlines of what is seen in them"),
-    "glass": ({"moving": ball(GLASS)}, "'moving' has the BSDF .*dielectric.*the outlines of what is seen in them or through them"),
+    "glass": (
+        {"moving": ball(GLASS)},
+        "'moving' has the BSDF .*dielectric.*the outlines of what is seen in them or through them",
+    ),
     "thin glass": ({"moving": ball({"type": "thindielectric"})}, "'moving' has the BSDF"),
     "glass of ours": ({"moving": ball({"type": "glass"})}, "'moving' has the BSDF"),
     "mirror on two sides": (
@@ -82,12 +85,6 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
         {"moving": ball({"type": "twosided", "n": {"type": "bumpmap", "t": BUMPS, "nested": PLASTER}})},
         "'moving' has the BSDF.*normals are bent",
     ),
-    "point": (
-        {"light": {"type": "point", "position": [1, 1, 5]}},
-        r"'light' .point. shines, and the edges of its sha",
-    ),
-    "spot": ({"light": {"type": "spot", "to_world": T().translate([0, 0, 6])}}, r"'light' .spot. shines"),
-    "directional": ({"light": {"type": "directional", "direction": [0, 0, -1]}}, r"'light' .directional. shines"),
     "projector": (
         {"light": {"type": "projector", "irradiance": BUMPS, "to_world": T().translate([0, 0, 6])}},
         r"'light' .projector. shines",
@@ -100,9 +97,21 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
         {"floor": {**FLOOR, "to_world": T().translate([0, 0, -0.9]).scale(4)}},
         "'moving' and 'floor' intersect or touch, and the curve",
     ),
-    "a shadow on the shape": (
-        {"roof": {"type": "disk", "to_world": T().translate([0, 0, 7]).scale(0.2)}},
-        "'roof' may throw a shadow of the lamp 'lamp' on 'moving'",
+    "a cube in front of a lamp": (
+        {"roof": {"type": "cube", "to_world": T().translate([0, 0, 7]).scale(0.2)}},
+        r"'roof' .cube. may hide 'lamp.*' .area. from a shape that moves, and its outlines and",
+    ),
+    "a cube in front of a light": (
+        {
+            "roof": {"type": "cube", "to_world": T().translate([0, 0, 4]).scale(0.2)},
+            "lamp": None,
+            "sun": {"type": "directional", "direction": [0, 0, -1]},
+        },
+        r"'roof' .cube. may hide 'sun' .directional. from",
+    ),
+    "a cube under a sky": (
+        {"box": {"type": "cube", "to_world": T().translate([3, 0, 0])}, "lamp": None, "sky": {"type": "constant"}},
+        r"'box' .cube. may hide 'sky' .constant. from",
     ),
 }
 
@@ -129,6 +138,11 @@ PROVEN: dict[str, dict[str, Any]] = {
     "a ball that stands on a floor": {"floor": {**FLOOR, "to_world": T().translate([0, 0, -1]).scale(4)}},
     "a rough mirror": {"moving": ball({"type": "roughconductor"})},
     "rough plastic": {"other": {**MIRROR_BEHIND, "bsdf": {"type": "roughplastic"}}},
+    "a point": {"light": {"type": "point", "position": [1, 1, 5]}},
+    "a spot": {"light": {"type": "spot", "to_world": T().translate([0, 0, 6])}},
+    "parallel light": {"light": {"type": "directional", "direction": [0, 0, -1]}},
+    "a shadow on the shape": {"roof": {"type": "disk", "to_world": T().translate([0, 0, 7]).scale(0.2)}},
+    "a cube out of the way": {"box": {"type": "cube", "to_world": T().translate([3, 0, 0])}},
     "rough glass": {"moving": ball({"type": "roughdielectric"})},
     "glass alone": {"lamp": None, "floor": None, "moving": ball(GLASS), "sky": {"type": "constant"}},
     "a textured lamp": {
@@ -160,7 +174,7 @@ def test_what_is_compared_with_differences_is_not_refused(name: str) -> None:
 
 
 def test_who_knows_can_go_on() -> None:
-    nodes, _ = REFUSED["point"]
+    nodes, _ = REFUSED["projector"]
     scene, theta = moved(room(**nodes))
     image = djpt.render(scene, integrator=integrator(unproven_gradients=True), spp=4)
     dr.forward(theta)
@@ -172,7 +186,7 @@ def test_who_knows_can_go_on() -> None:
 
 def test_images_and_other_derivatives_are_not_refused() -> None:
     """A shape that moves without gradients, and gradients of a colour."""
-    nodes, _ = REFUSED["point"]
+    nodes, _ = REFUSED["projector"]
     scene = djpt.load_dict(room(**nodes))
     params = djpt.traverse(scene)
     params["moving.to_world"] = djpt.ScalarTransform4f().translate([0.1, 0, 0])
@@ -300,3 +314,44 @@ def test_the_guide_lists_the_cases() -> None:
     guide = (ROOT / "docs" / "guides" / "gradients.md").read_text()
     for case in CASES:
         assert f"| {case.name} | {case.reason} | {case.way_out} |" in guide
+
+
+def with_camera(**nodes: Any) -> Any:
+    """A scene whose camera moves with gradients."""
+    scene = djpt.load_dict(room(**nodes))
+    params = djpt.traverse(scene)
+    params["sensor.x_fov"] = dr.opaque(Float, 40)
+    dr.enable_grad(params["sensor.x_fov"])
+    params.update()
+    return scene
+
+
+@pytest.mark.parametrize("kind", INTEGRATORS)
+def test_cameras_that_move(kind: str) -> None:
+    scene = with_camera()
+    assert dr.grad_enabled(djpt.render(scene, integrator=integrator(kind), spp=1))
+    box = {"type": "cube", "to_world": T().translate([0, 3, 0])}
+    for nodes, message in (
+        ({"box": box}, "'sensor' moves .*'box' .cube. may be seen by the camera"),
+        ({"other": MIRROR_BEHIND}, "'other' has the BSDF .*conductor"),
+        ({"floor": {**FLOOR, "to_world": T().translate([0, 0, -0.9]).scale(4)}}, "'moving' and 'floor' intersect"),
+    ):
+        with pytest.raises(RenderError, match=message):
+            djpt.render(with_camera(**nodes), integrator=integrator(kind), spp=1)
+
+
+@pytest.mark.parametrize("kind", ["path", "prb", "bdpt", "ptracer", "depth"])
+def test_cameras_that_others_cannot_follow(kind: str) -> None:
+    with pytest.raises(RenderError, match="'sensor' moves with gradients .*'x_fov': render with"):
+        djpt.render(with_camera(), integrator=djpt.load_dict({"type": kind}), spp=1)
+
+
+def test_cameras_without_derivatives() -> None:
+    place = T().look_at([0, 0, 6], [0, 0, 0], [0, 1, 0])
+    sensor = {"type": "thinlens", "aperture_radius": 0.1, "to_world": place}
+    params = djpt.traverse(djpt.load_dict({**room(), "sensor": sensor}))
+    assert not any(params.flags(f"sensor.{key}").differentiable for key in ("to_world", "x_fov", "aperture_radius"))
+    theta = Float(0)
+    dr.enable_grad(theta)
+    with pytest.raises(DjptError, match="gradients with respect to this parameter aren't available"):
+        params["sensor.to_world"] = djpt.Transform4f().translate([theta, 0, 0])

@@ -12,19 +12,25 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import drjit as dr
+import numpy as np
 
 from djpt.core.records import BSDFFlags, EmitterFlags, has_flag
 from djpt.description.plugin import Plugin
 from djpt.description.registry import name_of
 from djpt.errors import RenderError
 from djpt.jit.frozen import recording
-from djpt.scene.intersecting_shapes import between, is_convex, may_intersect
+from djpt.scene.intersecting_shapes import between, encloses, is_convex, may_intersect
 
 if TYPE_CHECKING:
     from djpt.integrators.base import Integrator
     from djpt.scene.scene import Scene
+    from djpt.sensors.base import Sensor
 
 __all__ = ["CASES", "Case", "Rendering", "require_proven"]
+
+
+DISTANT = 1e6
+"""How far away a light at infinity is taken to be."""
 
 
 @dataclass(frozen=True)
@@ -37,17 +43,24 @@ class Rendering:
     """The shapes whose place has gradients; not clouds of ellipsoids, which have no silhouettes by definition."""
     seen: tuple[Any, ...]
     """All shapes that rays can hit; an instance stands for its group."""
+    camera: Sensor | None
+    """The sensor, if its place has gradients."""
 
     @staticmethod
-    def of(scene: Scene, integrator: Integrator) -> Rendering:
+    def of(scene: Scene, integrator: Integrator, sensor: Sensor | None = None) -> Rendering:
         """The rendering of a scene by an integrator."""
         shapes = scene.shapes()
         moving = tuple(s for s in shapes if s.parameters_grad_enabled() and not s.is_ellipsoids())
-        return Rendering(scene, integrator, moving, tuple(s for s in shapes if s.class_name() != "ShapeGroup"))
+        seen = tuple(s for s in shapes if s.class_name() != "ShapeGroup")
+        return Rendering(scene, integrator, moving, seen, sensor if sensor and sensor.attached_names() else None)
+
+    def passes_by(self) -> tuple[Any, ...]:
+        """The shapes that may change their place in the picture: those that move, or all if the camera does."""
+        return self.moving if self.camera is None else self.seen
 
     def bsdfs(self, *, of_moving: bool = False) -> Iterator[tuple[Any, Any]]:
         """Each shape, of those that move or of all, with its BSDF."""
-        for shape in self.moving if of_moving else self.scene.geometry.contents.shapes:
+        for shape in self.passes_by() if of_moving else self.scene.geometry.contents.shapes:
             if shape.bsdf() is not None:
                 yield shape, shape.bsdf()
 
@@ -117,17 +130,16 @@ def bends_normals(bsdf: Any) -> bool:
     )
 
 
-def sharp_shadows(rendering: Rendering) -> Iterator[str]:
-    """Lights without extent, unless nothing can be shadowed: a single convex shape shadows nothing."""
-    if alone(rendering):
-        return
+def bounded_beams(rendering: Rendering) -> Iterator[str]:
+    """Lights whose beams have sharp sides."""
     for emitter in rendering.emitters(EmitterFlags.Delta):
-        yield f"{named(emitter)} shines"
+        if emitter.on_shape or name_of(type(emitter)) == "projector":
+            yield f"{named(emitter)} shines"
 
 
 def intersections(rendering: Rendering) -> Iterator[str]:
     """Shapes that a moving one cuts or touches."""
-    moving = {id(shape) for shape in rendering.moving}
+    moving = {id(shape) for shape in rendering.passes_by()}
     moved: list[Any] = []  # of those before
     for i, shape in enumerate(rendering.seen):
         moves = id(shape) in moving
@@ -138,17 +150,47 @@ def intersections(rendering: Rendering) -> Iterator[str]:
             moved.append(shape)
 
 
-def shadows_on_moving(rendering: Rendering) -> Iterator[str]:
-    """Shapes that stay between one that moves and a light with an extent."""
-    moving = {id(shape) for shape in rendering.moving}
-    lights = [e.get_shape() for e in rendering.emitters(EmitterFlags.Surface) if e.get_shape() is not None]
-    for shape in rendering.moving:
-        for light in lights:
-            for other in rendering.seen:
-                if light is shape or other is light or id(other) in moving:
-                    continue
-                if between(other, shape.world_box(), light.world_box()):
-                    yield f"'{other.id()}' may throw a shadow of the lamp '{light.id()}' on '{shape.id()}'"
+def unknown_outlines(rendering: Rendering) -> Iterator[str]:
+    """Shapes that stay, whose silhouettes aren't known, and that may hide light from a moving one."""
+    still = [s for s in rendering.seen if not s.silhouette_discontinuity_types() and s not in rendering.moving]
+    for shape in still:
+        # An infinite plane has no edge.
+        if name_of(type(shape)) == "plane":
+            continue
+        if rendering.camera is not None:
+            yield f"'{shape.id()}' ({name_of(type(shape))}) may be seen by the camera, which moves"
+        # A convex room has none that is seen from within.
+        if all(encloses(shape, moving) for moving in rendering.moving):
+            continue
+        for light in hidden_by(shape, rendering):
+            yield f"'{shape.id()}' ({name_of(type(shape))}) may hide {light} from a shape that moves"
+
+
+def hidden_by(shape: Any, rendering: Rendering) -> Iterator[str]:
+    """The lights that a shape may hide from those that move."""
+    integrator, emitters = rendering.integrator, rendering.scene.emitters()
+    direct = getattr(integrator, "direct_light_only", False) or getattr(integrator, "max_depth", 3) <= 2
+    for emitter in emitters:
+        if emitter.is_environment():
+            yield named(emitter)
+        elif emitter.from_infinity:
+            toward = DISTANT * -np.array(dr.detach(emitter.forward), np.float64).ravel()
+            if any(between(shape, m.world_box(), shifted(m.world_box(), toward)) for m in rendering.moving):
+                yield named(emitter)
+        else:
+            box = (emitter if emitter.get_shape() is None else emitter.get_shape()).bbox()
+            place = np.array(box.min, np.float64).ravel(), np.array(box.max, np.float64).ravel()
+            if emitter.get_shape() is not shape and any(
+                between(shape, m.world_box(), place) for m in rendering.moving if m is not emitter.get_shape()
+            ):
+                yield named(emitter)
+    if not direct:
+        yield "light of other surfaces"
+
+
+def shifted(box: tuple[Any, Any], by: Any) -> tuple[Any, Any]:
+    """A box elsewhere."""
+    return box[0] + by, box[1] + by
 
 
 def hidden_lights(rendering: Rendering) -> Iterator[str]:
@@ -168,7 +210,7 @@ def without_silhouettes(rendering: Rendering) -> Iterator[str]:
 CASES: tuple[Case, ...] = (
     Case(
         "an integrator without silhouettes",
-        "what appears and disappears at the outlines of the shape is left out",
+        "what appears and disappears at the outlines of shapes is left out",
         "render with 'direct_projective' or 'prb_projective'",
         without_silhouettes,
     ),
@@ -197,30 +239,30 @@ CASES: tuple[Case, ...] = (
         bent_normals,
     ),
     Case(
-        "a `point`, `spot`, `directional`, `projector` or `directionalarea` light, unless one convex shape is all",
-        "the edges of its shadows aren't followed",
-        "use a small area light",
-        sharp_shadows,
+        "a `projector` or `directionalarea` light",
+        "the sides of its beam aren't followed",
+        "use a 'spot' light with a texture, or a small area light",
+        bounded_beams,
     ),
     Case(
-        "a shape that a moving one cuts or touches",
+        "shapes that cut or touch each other, of which one moves",
         "the curve in which they meet isn't followed",
         "leave a gap between them",
         intersections,
         needs_numbers=True,
     ),
     Case(
-        "a shape that stays between a moving one and an area light",
-        "the shadow that it throws on the moving shape isn't followed",
-        "move the other shape out of the way",
-        shadows_on_moving,
+        "a cube, an instance or another shape without known silhouettes, if it may hide light from a moving one",
+        "its outlines and the edges of its shadows aren't followed",
+        "use a mesh",
+        unknown_outlines,
         needs_numbers=True,
     ),
 )
-"""The cases of moving shapes, those that are found fastest first."""
+"""The cases of shapes and cameras that move, those that are found fastest first."""
 
 
-def require_proven(scene: Scene, integrator: Integrator) -> None:
+def require_proven(scene: Scene, integrator: Integrator, sensor: Sensor | None = None) -> None:
     """Refuse derivatives that are known to be wrong, unless `integrator.unproven_gradients` is true.
 
     Called where derivatives of an image are asked for, with the scene whose parameters have gradients.
@@ -238,10 +280,10 @@ def require_proven(scene: Scene, integrator: Integrator) -> None:
                 f"'{emitter.id()}' has a sun, and the change of its light with the angle to surfaces is left out",
                 "set 'sun_scale' to 0, for the sky alone",
             )
-    rendering = Rendering.of(scene, integrator)
-    if not rendering.moving:
+    rendering = Rendering.of(scene, integrator, sensor)
+    if not rendering.moving and rendering.camera is None:
         return
-    what = f"'{rendering.moving[0].id()}' moves with parameters that have gradients"
+    what = f"'{(rendering.camera or rendering.moving[0]).id()}' moves with parameters that have gradients"
     for case in CASES:
         if case.needs_numbers and recording():
             continue
