@@ -169,7 +169,7 @@ class DirectProjectiveIntegrator(PSIntegrator):
         it.p = si.p
         ds, importance = sensor.sample_direction(it, sampler.next_2d(), active)
         active = active & dr.any(importance != 0)
-        active = active & ~scene.ray_test(si.spawn_ray_to(ds.p), active)
+        active = active & ~self.hides(scene, si.spawn_ray_to(ds.p), active)
         value = si.bsdf().eval(BSDFContext(TransportMode.Importance), si, si.to_local(ds.d), active)
         found = Color3f(dr.select(active, value * importance, 0))
         return found, ds.uv, UInt32(2), active & dr.any(found != 0)

@@ -233,7 +233,7 @@ class PathProjectiveIntegrator(PSIntegrator):
             is_second = active & (edges == 3)
             o_viewer, d_viewer = dr.select(is_second, si.p, o_viewer), dr.select(is_second, -d, d_viewer)
             connects = active & has_flag(bsdf.flags(), SMOOTH) & dr.any(importance != 0)
-            connects &= ~scene.ray_test(si.spawn_ray_to(ds.p), connects)
+            connects &= ~self.hides(scene, si.spawn_ray_to(ds.p), connects)
             count += dr.select(connects, UInt32(1), 0)
             # Of all connections of a path one is kept, each with the same probability.
             chosen = connects & (sampler.next_1d() * Float(count) <= 1)

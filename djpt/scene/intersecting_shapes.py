@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from djpt.shapes.shape_type import ShapeType
 
-__all__ = ["between", "encloses", "is_convex", "may_intersect"]
+__all__ = ["between", "encloses", "is_convex", "is_sphere", "may_intersect"]
 
 Floats = NDArray[np.float64]
 

@@ -106,7 +106,12 @@ class ProjectiveDetail:
             it = dr.zeros(Interaction3f)
             it.p = ss.p
             _, importance = sensor.sample_direction(it, Point2f(0), Bool(active))
-            visible = active & ~scene.ray_test(ray, active) & dr.any(importance != 0)
+            if self.parent.hide_emitters:
+                # Lamps are passed by, and so have no outlines.
+                for number, shape in enumerate(scene.silhouette_shapes()):
+                    if shape.emitter() is not None:
+                        active = active & (ss.scene_index != number)
+            visible = active & ~self.parent.hides(scene, ray, active) & dr.any(importance != 0)
             difference, found = self.parent.sample_radiance_difference(scene, ss, 0, sampler, [], visible)
             return dr.select(visible & found, difference, 0), []
 
@@ -252,10 +257,10 @@ class ProjectiveDetail:
             active = active & known
             weight = dr.select(active, importance * (ss.foreshortening * dr.rcp(ss.pdf)), 0)
             if preprocess:
-                moves = Receiver(scene, sensor, ss, place, edges, viewer, active).moves()
+                moves = Receiver(parent, scene, sensor, ss, place, edges, viewer, active).moves()
                 return weight * (dr.abs(front - back) + dr.select(moves, back, 0)), [], Point2f(0)
             behind = scene.ray_intersect(ss.spawn_ray(), active=active).t
-        receiver = Receiver(scene, sensor, ss, place, edges, viewer, active)
+        receiver = Receiver(parent, scene, sensor, ss, place, edges, viewer, active)
         value = Color3f(front - back) * self.speed(scene, ss, active) + Color3f(back) * receiver.speed_at_edge(behind)
         return Color3f(weight) * value, [], place
 

@@ -10,10 +10,13 @@ from djpt.core.records import DirectionSample3f, Interaction3f, Ray3f, SurfaceIn
 from djpt.description.properties import Properties
 from djpt.films.base import FilmFlags
 from djpt.integrators.ad_integrator import RBIntegrator, attached, modes, propagate
+from djpt.integrators.projective.cuts import cuts_on_film
 from djpt.integrators.projective.detail import ProjectiveDetail
 from djpt.integrators.projective.receivers import followed, outlined
 from djpt.integrators.projective.shadows import ShadowEdges, delta_lights
+from djpt.jit.frozen import recording
 from djpt.jit.types import Bool, Color3f, Float, Point2f, TensorXf, UInt32
+from djpt.rendering.gradients.meetings import flat_meshes, meeting_pairs
 from djpt.samplers.base import Sampler
 from djpt.scene.arguments import find_sensor
 from djpt.scene.scene import Scene
@@ -22,7 +25,8 @@ from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
 __all__ = ["PSIntegrator"]
 
-PRIMARY_SEED, GUIDING_SEED, INDIRECT_SEED, SHADOW_SEED = 0xFFFFFFFF, 0xAFAFAFAF, 0xAA00AA00, 0x77777777
+PRIMARY_SEED, GUIDING_SEED, INDIRECT_SEED = 0xFFFFFFFF, 0xAFAFAFAF, 0xAA00AA00
+SHADOW_SEED, CUT_SEED = 0x77777777, 0x33333333
 """Combined with the seed of the image, for samples of their own."""
 
 
@@ -222,6 +226,10 @@ class PSIntegrator(RBIntegrator):
                     self.proj_detail.init_indirect_silhouette(all_edges, camera, GUIDING_SEED ^ seed)
                     sampler, count = self.prepare(camera, INDIRECT_SEED ^ seed, indirect, self.aov_names())
                 total += self.render_indirect_silhouette(all_edges, camera, sampler, count)
+            if primary and self._surfaces_meet(scene, camera):
+                sampler, _ = self.prepare(camera, CUT_SEED ^ seed, primary, self.aov_names())
+                value, place, found = cuts_on_film(self, scene, camera, sampler)
+                total += self._splatted(camera, sampler, place, value, found)
             lights = delta_lights(scene) if indirect else []
             for number, light in enumerate(lights):
                 share = -(-indirect // len(lights))
@@ -231,6 +239,12 @@ class PSIntegrator(RBIntegrator):
         if within and not self.radiative_backprop:
             total += self._attached_image(scene, camera, seed, within, mode)
         return total
+
+    def _surfaces_meet(self, scene: Scene, sensor: Sensor) -> bool:
+        """Whether the sensor may see curves in which surfaces meet, and which move."""
+        shapes = scene.shapes()
+        moving = shapes if sensor.attached_names() else scene.silhouette_shapes()
+        return recording() or bool(flat_meshes(moving)) or next(meeting_pairs(shapes, moving), None) is not None
 
     def render_primarily_visible_silhouette(self, scene: Scene, sensor: Sensor, sampler: Sampler, spp: int) -> TensorXf:
         """The image of the silhouettes that the sensor sees, attached to the parameters of shapes.
@@ -279,6 +293,12 @@ class PSIntegrator(RBIntegrator):
             return scene.ray_intersect(ray, active=active)
         found = scene.closest_hit(dr.detach(ray), active, through_lights=Bool(from_sensor))
         return scene.surface_interaction_of(found, ray)
+
+    def hides(self, scene: Scene, ray: Any, active: Bool | bool) -> Bool:
+        """Whether something hides the end of rays from the sensor: with `hide_emitters` no lamps do."""
+        if not self.hide_emitters:
+            return scene.ray_test(ray, active)
+        return scene.closest_hit(ray, active, through_lights=Bool(True)).is_valid()
 
     def seed_rays(self, scene: Scene, sensor: Sensor, sampler: Sampler) -> tuple[Any, Bool]:
         """The rays of paths that `sample` offers for projection."""

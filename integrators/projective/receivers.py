@@ -18,6 +18,7 @@ class Receiver:
     """The points x that see silhouettes at y, whose normal is n: hits of the sensor's rays, or of the next vertex's.
 
     Args:
+        integrator: the integrator, which may hide emitters from the sensor.
         scene: the scene.
         sensor: the sensor.
         ss: the silhouettes.
@@ -29,6 +30,7 @@ class Receiver:
 
     def __init__(
         self,
+        integrator: Any,
         scene: Any,
         sensor: Any,
         ss: SilhouetteSample3f,
@@ -44,7 +46,7 @@ class Receiver:
         o, d, seen = shown.o, shown.d, active & by_sensor
         if viewer is not None:
             o, d, seen = dr.select(by_sensor, o, viewer.o), dr.select(by_sensor, d, viewer.d), active
-        self._si = scene.ray_intersect(Ray3f(o, d), active=seen)
+        self._si = integrator.first_hit(scene, Ray3f(o, d), seen, by_sensor)
         self._scene, self._ss, self._seen = scene, ss, seen & self._si.is_valid()
 
     def speed_at_edge(self, behind: Float) -> Float:

@@ -56,7 +56,7 @@ class ShadowEdges:
             active = active & reached
             across = dr.norm(dr.cross(ss.d, ss.silhouette_d))
             weight = dr.select(active, importance * arriving * (across * dr.rcp(ss.pdf)), 0)
-        receiver = Receiver(scene, sensor, ss, place, edges, viewer, active)
+        receiver = Receiver(integrator, scene, sensor, ss, place, edges, viewer, active)
         speed = dr.dot(self._outlines.follow(ss, active) - ss.p, ss.n)
         return Color3f(weight) * dr.select(active, receiver.speed_at_edge(ds.dist) - speed, 0), place
 

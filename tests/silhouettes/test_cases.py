@@ -12,7 +12,8 @@ import pytest
 
 import djpt
 from djpt.core.transforms import ScalarTransform4f as T
-from djpt.jit.types import Float, TensorXf
+from djpt.jit.types import Float, TensorXf, UInt32
+from tests.silhouettes.test_projective import octahedron
 
 SIZE = 16
 COLUMN = np.linspace(-1, 1, SIZE, dtype=np.float32)
@@ -38,6 +39,13 @@ def turn(key: str, degrees: float) -> Move:
         params[key] = djpt.Transform4f().rotate([0, 1, 0], degrees * theta) @ djpt.Transform4f(params[key])
 
     return move
+
+
+def slide(params: Any, theta: Float) -> None:
+    """Move the vertices of a mesh."""
+    positions = Float(params["moving.vertex_positions"])
+    x, y = (dr.arange(UInt32, dr.width(positions)) % 3 == axis for axis in (0, 1))
+    params["moving.vertex_positions"] = positions + dr.select(x, theta, dr.select(y, 0.3 * theta, 0))
 
 
 def sensor(origin: tuple[float, float, float] = (0, 0, 6), fov: float = 40, **more: Any) -> dict[str, Any]:
@@ -223,6 +231,46 @@ CASES |= {
 }
 
 
+LIGHT = {"type": "point", "position": [0, 0, 6], "intensity": 40.0}
+GREY = {**FLOOR, "bsdf": {"type": "diffuse", "reflectance": 0.2}}
+DIPPED = ball({"type": "diffuse", "reflectance": 0.8}, center=[0, 0, -0.4])
+CASES |= {
+    "a ball rises from a floor": Case(
+        lambda: {"moving": DIPPED, "floor": GREY, "light": LIGHT}, shift("moving.to_world", 0, 0, 1), spp=512
+    ),
+    "a floor rises about a ball": Case(
+        lambda: {"ball": DIPPED, "moving": GREY, "light": SUN}, shift("moving.to_world", 0, 0, 1), spp=1024
+    ),
+    "flat facets": Case(lambda: {"moving": octahedron((0.1, 0.2, 0), 1.2), "light": SUN}, slide, spp=2048),
+    "half of a ball": Case(
+        lambda: {
+            "moving": ball({"type": "mask", "opacity": 0.5, "nested": {"type": "diffuse"}}),
+            "sky": {"type": "constant", "radiance": 0.3},
+        },
+        shift("moving.to_world"),
+        PRB,
+        depth=6,
+        spp=512,
+        settings={"sppi": 0},
+    ),
+    "a hidden lamp": Case(
+        lambda: {
+            "moving": ball(),
+            "near": {
+                "type": "sphere",
+                "center": [0.8, 0.3, 2.5],
+                "radius": 0.4,
+                "emitter": {"type": "area", "radiance": 5.0},
+            },
+            "sky": {"type": "constant", "radiance": 0.3},
+        },
+        shift("moving.to_world"),
+        spp=1024,
+        settings={"hide_emitters": True},
+    ),
+}
+
+
 def edit(key: str, by: float) -> Move:
     """Add to a number."""
 
@@ -267,6 +315,8 @@ for motion, move in MOTIONS.items():
         spp=512,
     )
 QUICK = {
+    "a ball rises from a floor": "direct_projective",
+    "half of a ball": "prb_projective",
     "a camera, turn: a globe": "prb_projective",
     "a camera, field of view: a floor under a sky": "direct_projective",
     "the shadow of a ball in the light of a point": "direct_projective",

@@ -19,7 +19,8 @@ from djpt.description.plugin import Plugin
 from djpt.description.registry import name_of
 from djpt.errors import RenderError
 from djpt.jit.frozen import recording
-from djpt.scene.intersecting_shapes import between, encloses, is_convex, may_intersect
+from djpt.rendering.gradients.meetings import flat_meshes, meeting_pairs
+from djpt.scene.intersecting_shapes import between, encloses, is_convex, is_sphere
 
 if TYPE_CHECKING:
     from djpt.integrators.base import Integrator
@@ -109,8 +110,16 @@ def reflections(rendering: Rendering) -> Iterator[str]:
 
 
 def layers(rendering: Rendering) -> Iterator[str]:
-    """Surfaces that light passes straight through."""
-    return of_lobes(rendering, BSDFFlags.Null)
+    """Surfaces that light passes straight through, unless there is nothing but a ball or a plane one."""
+    if not (alone(rendering) and (is_sphere(rendering.seen[0]) or rendering.seen[0].plane() is not None)):
+        yield from of_lobes(rendering, BSDFFlags.Null)
+
+
+def creases(rendering: Rendering) -> Iterator[str]:
+    """Moving meshes whose shading jumps at edges, where that is seen not only by the camera."""
+    if not direct_light_only(rendering.integrator):
+        for mesh in flat_meshes(rendering.passes_by()):
+            yield f"'{mesh.id()}' has flat facets"
 
 
 def bent_normals(rendering: Rendering) -> Iterator[str]:
@@ -137,17 +146,17 @@ def bounded_beams(rendering: Rendering) -> Iterator[str]:
             yield f"{named(emitter)} shines"
 
 
+def direct_light_only(integrator: Any) -> bool:
+    """Whether surfaces are lit by emitters alone."""
+    return bool(getattr(integrator, "direct_light_only", False) or getattr(integrator, "max_depth", 3) <= 2)
+
+
 def intersections(rendering: Rendering) -> Iterator[str]:
-    """Shapes that a moving one cuts or touches."""
-    moving = {id(shape) for shape in rendering.passes_by()}
-    moved: list[Any] = []  # of those before
-    for i, shape in enumerate(rendering.seen):
-        moves = id(shape) in moving
-        for other in rendering.seen[:i] if moves else moved:
-            if may_intersect(shape, other):
-                yield f"'{shape.id()}' and '{other.id()}' intersect or touch"
-        if moves:
-            moved.append(shape)
+    """Shapes that a moving one cuts or touches, where that is seen not only by the camera."""
+    direct = direct_light_only(rendering.integrator)
+    for shape, other in meeting_pairs(rendering.seen, rendering.passes_by()):
+        if not direct or shape.emitter() is not None or other.emitter() is not None:
+            yield f"'{shape.id()}' and '{other.id()}' intersect or touch"
 
 
 def unknown_outlines(rendering: Rendering) -> Iterator[str]:
@@ -169,7 +178,7 @@ def unknown_outlines(rendering: Rendering) -> Iterator[str]:
 def hidden_by(shape: Any, rendering: Rendering) -> Iterator[str]:
     """The lights that a shape may hide from those that move."""
     integrator, emitters = rendering.integrator, rendering.scene.emitters()
-    direct = getattr(integrator, "direct_light_only", False) or getattr(integrator, "max_depth", 3) <= 2
+    direct = direct_light_only(integrator)
     for emitter in emitters:
         if emitter.is_environment():
             yield named(emitter)
@@ -193,14 +202,6 @@ def shifted(box: tuple[Any, Any], by: Any) -> tuple[Any, Any]:
     return box[0] + by, box[1] + by
 
 
-def hidden_lights(rendering: Rendering) -> Iterator[str]:
-    """An integrator that hides emitters of the scene."""
-    if rendering.integrator.hide_emitters:
-        for flags in (EmitterFlags.Surface, EmitterFlags.Infinite):
-            for emitter in rendering.emitters(flags):
-                yield f"'hide_emitters' hides {named(emitter)}"
-
-
 def without_silhouettes(rendering: Rendering) -> Iterator[str]:
     """An integrator that follows no silhouettes."""
     if not rendering.integrator.follows_silhouettes:
@@ -215,20 +216,14 @@ CASES: tuple[Case, ...] = (
         without_silhouettes,
     ),
     Case(
-        "`hide_emitters`",
-        "the outlines of lamps count although they can't be seen",
-        "show the emitters, or move lamps out of the picture",
-        hidden_lights,
-    ),
-    Case(
         "smooth mirrors, glass and plastic, unless one convex shape is all",
         "the outlines of what is seen in them or through them aren't followed",
         "use a rough material",
         reflections,
     ),
     Case(
-        "`mask`, `null` and other surfaces that light passes straight through",
-        "of the layers behind each other only one has an outline",
+        "`mask`, `null` and other surfaces that light passes straight through, unless one ball or plane shape is all",
+        "the outlines of what is seen through them aren't followed",
         "use an opaque material",
         layers,
     ),
@@ -245,10 +240,17 @@ CASES: tuple[Case, ...] = (
         bounded_beams,
     ),
     Case(
-        "shapes that cut or touch each other, of which one moves",
-        "the curve in which they meet isn't followed",
-        "leave a gap between them",
+        "shapes that cut or touch each other, of which one moves, if one of them shines or paths have more than two edges",
+        "the curve in which they meet is followed only where the camera sees it",
+        "leave a gap between them, or set 'max_depth' to 2",
         intersections,
+        needs_numbers=True,
+    ),
+    Case(
+        "a mesh without vertex normals that moves, if paths have more than two edges",
+        "the edges between its facets are followed only where the camera sees them",
+        "give it vertex normals, or set 'max_depth' to 2",
+        creases,
         needs_numbers=True,
     ),
     Case(
