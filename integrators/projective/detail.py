@@ -24,10 +24,14 @@ from djpt.integrators.projective.outlines import Outlines
 from djpt.integrators.projective.projection import ProjectOperation
 from djpt.integrators.projective.receivers import Receiver
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f
+from djpt.sensors.orthographic import Orthographic
 from djpt.sensors.perspective import Perspective
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
 __all__ = ["ProjectiveDetail"]
+
+FAR = 1e4
+"""The distance from which outlines are seen by parallel rays, in radii of the scene."""
 
 FEW_SAMPLES = 1 << 20
 """If fewer samples count, the octree is learnt from all of them."""
@@ -47,8 +51,7 @@ class ProjectiveDetail:
 
     def init_primarily_visible_silhouette(self, scene: Any, sensor: Any) -> None:
         """Find the silhouettes as the sensor sees them, of all shapes that move."""
-        viewpoint = sensor.world_transform().transform_point([0, 0, 0])
-        self.outlines = Outlines(scene.silhouette_shapes(), viewpoint)
+        self.outlines = Outlines(scene.silhouette_shapes(), viewpoint_of(scene, sensor))
 
     def sample_primarily_visible_silhouette(
         self, scene: Any, viewpoint: Any, sample2: Point2f, active: Bool | bool
@@ -93,18 +96,15 @@ class ProjectiveDetail:
         """The difference of radiance at silhouettes that the sensor sees, and no wavelengths; 0 where it doesn't.
 
         Raises:
-            RenderError: the sensor isn't a perspective camera.
+            RenderError: the sensor is neither a perspective nor an orthographic camera.
         """
-        if not isinstance(sensor, Perspective):
-            raise RenderError(f"silhouettes are supported for perspective cameras only, found '{sensor.id()}'")
         with dr.suspend_grad():
-            center = Point3f(sensor.world_transform().transform_point([0, 0, 0]))
             back = SilhouetteSample3f(ss)
             back.d = -ss.d
             ray = back.spawn_ray()
-            ray.maxt = dr.norm(center - ray.o) * (1 - SHADOW_EPSILON)
             it = dr.zeros(Interaction3f)
             it.p = ss.p
+            ray.maxt = sensor.sample_direction(it, Point2f(0))[0].dist * (1 - SHADOW_EPSILON)
             _, importance = sensor.sample_direction(it, Point2f(0), Bool(active))
             if self.parent.hide_emitters:
                 # Lamps are passed by, and so have no outlines.
@@ -270,6 +270,22 @@ class ProjectiveDetail:
         si.p, si.prim_index, si.uv = dr.detach(ss.p), ss.prim_index, ss.uv
         followed = scene.silhouette_shape(ss.scene_index).differential_motion(si, active)
         return dr.select(active, dr.dot(followed - dr.detach(followed), dr.detach(ss.n)), 0)
+
+
+def viewpoint_of(scene: Any, sensor: Any) -> Point3f:
+    """The point that a sensor sees outlines from; of one with parallel rays a point far away.
+
+    Raises:
+        RenderError: the sensor is neither a perspective nor an orthographic camera.
+    """
+    if isinstance(sensor, Perspective):
+        return Point3f(sensor.world_transform().transform_point([0, 0, 0]))
+    if not isinstance(sensor, Orthographic):
+        raise RenderError(
+            f"silhouettes are supported for perspective and orthographic cameras only, found '{sensor.id()}'"
+        )
+    center, radius = scene.bounding_sphere()
+    return Point3f(*(float(c) for c in center)) - dr.detach(sensor.direction) * (FAR * float(radius))
 
 
 def place_on_film(sensor: Any, p: Point3f) -> Point2f:

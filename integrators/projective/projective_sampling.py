@@ -254,8 +254,8 @@ class PSIntegrator(RBIntegrator):
         """
         detail = self.proj_detail
         with dr.suspend_grad():
-            center = sensor.world_transform().transform_point([0, 0, 0])
-            ss = detail.sample_primarily_visible_silhouette(scene, center, sampler.next_2d(), Bool(True))
+            assert detail.outlines is not None
+            ss = detail.outlines.sample(sampler.next_2d())
             active = ss.is_valid() & (ss.pdf > 0)
             difference, _ = detail.eval_primary_silhouette_radiance_difference(scene, sampler, ss, sensor, active)
             weight = dr.select(active, difference * dr.rcp(ss.pdf), 0)

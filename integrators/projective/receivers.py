@@ -37,7 +37,7 @@ class Receiver:
         place: Point2f,
         edges: UInt32,
         viewer: Ray3f | None,
-        active: Bool,
+        active: Bool | bool,
     ) -> None:
         window = Point2f(sensor.film().crop_size())
         self._by_sensor = by_sensor = edges == 2

@@ -7,14 +7,12 @@ from typing import Any
 import drjit as dr
 
 from djpt.core.records import SHADOW_EPSILON, EmitterFlags, Interaction3f, has_flag
+from djpt.integrators.projective.detail import FAR
 from djpt.integrators.projective.outlines import Outlines
 from djpt.integrators.projective.receivers import Receiver
 from djpt.jit.types import Color3f, Point2f, Point3f
 
 __all__ = ["ShadowEdges", "delta_lights"]
-
-FAR = 1e4
-"""The distance from which shapes are looked at in parallel light, in radii of the scene."""
 
 
 def delta_lights(scene: Any) -> list[Any]:

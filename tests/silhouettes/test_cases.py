@@ -314,7 +314,35 @@ for motion, move in MOTIONS.items():
         move,
         spp=512,
     )
+
+
+def parallel(params: Any, theta: Float) -> None:
+    """Turn a camera and move it aside."""
+    motion = djpt.Transform4f().rotate([0, 1, 0], 20 * theta) @ djpt.Transform4f().translate([0.5 * theta, 0, 0])
+    params["sensor.to_world"] = motion @ djpt.Transform4f(params["sensor.to_world"])
+
+
+ORTHOGRAPHIC = {
+    **sensor(),
+    "type": "orthographic",
+    "to_world": T().look_at([0, 0, 6], [0, 0, 0], [0, 1, 0]).scale([3, 3, 1]),
+}
+del ORTHOGRAPHIC["fov"]
+CASES |= {
+    f"parallel rays: {name}": Case(
+        lambda: {
+            "moving": ball({"type": "diffuse", "reflectance": SPOTS}, center=[0.5, 0.2, 0], radius=0.8),
+            "floor": GROUND,
+            "light": {"type": "point", "position": [1, 2, 6], "intensity": 40.0},
+            "sensor": ORTHOGRAPHIC,
+        },
+        move,
+        spp=512,
+    )
+    for name, move in (("a camera", parallel), ("a ball", shift("moving.to_world")))
+}
 QUICK = {
+    "parallel rays: a camera": "direct_projective",
     "a ball rises from a floor": "direct_projective",
     "half of a ball": "prb_projective",
     "a camera, turn: a globe": "prb_projective",

@@ -26,6 +26,7 @@ LAMP = {
     "emitter": {"type": "area", "radiance": 20.0},
 }
 BUMPS = {"type": "bitmap", "data": TensorXf(np.random.default_rng(0).random((4, 4, 1)).astype(np.float32)), "raw": True}
+SPOTS = {"type": "bitmap", "data": TensorXf(np.random.default_rng(1).random((4, 4, 3)).astype(np.float32)), "raw": True}
 FLOOR = {"type": "rectangle", "to_world": T().translate([0, 0, -1.5]).scale(4)}
 GLASS = {"type": "dielectric"}
 
@@ -96,6 +97,14 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
         {"panel": {"type": "disk", "to_world": T().translate([0, 3, 3]), "emitter": {"type": "directionalarea"}}},
         r"directionalarea. shines",
     ),
+    "a checkerboard": (
+        {"moving": ball({"type": "twosided", "nested": {"type": "diffuse", "reflectance": {"type": "checkerboard"}}})},
+        "'moving' has the texture '.*' .checkerboard., and the edges between its colours",
+    ),
+    "a coarse lamp": (
+        {"moving": {"type": "rectangle", "emitter": {"type": "area", "radiance": {**SPOTS, "filter_type": "nearest"}}}},
+        "'moving' has the texture '.*' .bitmap., and the edges between its colours",
+    ),
     "a lamp in a floor": (
         {"moving": {"type": "sphere", "center": [0, 0, -1.2], "emitter": {"type": "area"}}},
         "'moving' and 'floor' intersect or touch, and the curve",
@@ -155,10 +164,8 @@ PROVEN: dict[str, dict[str, Any]] = {
     "a cube out of the way": {"box": {"type": "cube", "to_world": T().translate([3, 0, 0])}},
     "rough glass": {"moving": ball({"type": "roughdielectric"})},
     "glass alone": {"lamp": None, "floor": None, "moving": ball(GLASS), "sky": {"type": "constant"}},
-    "a textured lamp": {
-        "moving": {"type": "rectangle", "emitter": {"type": "area", "radiance": {"type": "checkerboard"}}}
-    },
-    "a bitmap": {"moving": ball({"type": "diffuse", "reflectance": {"type": "checkerboard"}})},
+    "a textured lamp": {"moving": {"type": "rectangle", "emitter": {"type": "area", "radiance": SPOTS}}},
+    "a bitmap": {"moving": ball({"type": "diffuse", "reflectance": SPOTS})},
     "in a cube": {"lamp": None, "floor": None, "room": {"type": "cube", "to_world": T().scale(7)}},
     "in a sphere": {"lamp": None, "floor": None, "room": {"type": "sphere", "radius": 7.0, "flip_normals": True}},
     "in a mesh": {"lamp": None, "floor": None, "room": MESH_ROOM},

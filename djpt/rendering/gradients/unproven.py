@@ -139,6 +139,25 @@ def bends_normals(bsdf: Any) -> bool:
     )
 
 
+def jumping_textures(rendering: Rendering) -> Iterator[str]:
+    """Textures of moving shapes whose colour jumps."""
+    for shape in rendering.passes_by():
+        for owner in (shape.bsdf(), shape.emitter()):
+            for texture in () if owner is None else textures_in(owner):
+                if name_of(type(texture)) == "checkerboard" or getattr(texture, "filter_type", "") == "nearest":
+                    yield f"'{shape.id()}' has the texture {named(texture)}"
+
+
+def textures_in(plugin: Any) -> Iterator[Any]:
+    """The textures that a plugin, and those nested in it, consist of."""
+    for name in plugin.children:
+        child = getattr(plugin, name, None)
+        if isinstance(child, Plugin) and child.kind in ("bsdf", "texture"):
+            if child.kind == "texture":
+                yield child
+            yield from textures_in(child)
+
+
 def bounded_beams(rendering: Rendering) -> Iterator[str]:
     """Lights whose beams have sharp sides."""
     for emitter in rendering.emitters(EmitterFlags.Delta):
@@ -234,13 +253,19 @@ CASES: tuple[Case, ...] = (
         bent_normals,
     ),
     Case(
+        "a `checkerboard`, or a bitmap with the filter `nearest`, on a shape that moves",
+        "the edges between its colours aren't followed",
+        "use a bitmap with the filter 'bilinear'",
+        jumping_textures,
+    ),
+    Case(
         "a `projector` or `directionalarea` light",
         "the sides of its beam aren't followed",
         "use a 'spot' light with a texture, or a small area light",
         bounded_beams,
     ),
     Case(
-        "shapes that cut or touch each other, of which one moves, if one of them shines or paths have more than two edges",
+        "a moving shape that cuts or touches another one, if one of them shines or paths have more than two edges",
         "the curve in which they meet is followed only where the camera sees it",
         "leave a gap between them, or set 'max_depth' to 2",
         intersections,

@@ -120,7 +120,7 @@ class SilhouetteQuestions(Plugin):
     @property
     def is_silent(self) -> bool:
         """Whether it has no silhouettes for scripts, as in Mitsuba a mesh that stays."""
-        return self.of_triangles and not self.parameters_grad_enabled()  # type: ignore[attr-defined, no-any-return]
+        return self.of_triangles and not self.parameters_grad_enabled()  # type: ignore[attr-defined]
 
     # ---- parameters with gradients --------------------------------------------------------
 
