@@ -167,7 +167,7 @@ class ADIntegrator(Integrator):
     def render_forward(self, scene: Scene, params: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0) -> TensorXf:
         """The change (H, W, C) of the image that the gradients set on the scene's parameters cause."""
         camera = find_sensor(scene, sensor)
-        with attached(self, scene, camera, dr.ADMode.Forward) as scene, dr.resume_grad():
+        with attached(self, scene, dr.ADMode.Forward, camera) as scene, dr.resume_grad():
             image = self._attached_image(scene, camera, seed, spp, dr.ADMode.Forward)
             dr.forward_to(image)
             return dr.grad(image)
@@ -177,7 +177,7 @@ class ADIntegrator(Integrator):
     ) -> None:
         """Add the gradients that follow from those of the image, `grad_in` (H, W, C), to the scene's parameters."""
         camera = find_sensor(scene, sensor)
-        with attached(self, scene, camera, dr.ADMode.Backward) as scene, dr.resume_grad():
+        with attached(self, scene, dr.ADMode.Backward, camera) as scene, dr.resume_grad():
             image = self._attached_image(scene, camera, seed, spp, dr.ADMode.Backward)
             propagate(image, grad_in)
         dr.eval()
@@ -210,7 +210,7 @@ class RBIntegrator(ADIntegrator):
 
     def render_forward(self, scene: Scene, params: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0) -> TensorXf:
         camera = find_sensor(scene, sensor)
-        with attached(self, scene, camera, dr.ADMode.Forward) as scene, dr.suspend_grad():
+        with attached(self, scene, dr.ADMode.Forward, camera) as scene, dr.suspend_grad():
             spread_changes(scene)
             sampler, spp = self.prepare(camera, seed, spp, self.aov_names())
             ray, weight, position = self.sample_rays(scene, camera, sampler)
@@ -225,7 +225,7 @@ class RBIntegrator(ADIntegrator):
         self, scene: Scene, params: Any, grad_in: TensorXf, sensor: Any = 0, seed: Any = 0, spp: int = 0
     ) -> None:
         camera = find_sensor(scene, sensor)
-        with attached(self, scene, camera, dr.ADMode.Backward) as scene, dr.suspend_grad():
+        with attached(self, scene, dr.ADMode.Backward, camera) as scene, dr.suspend_grad():
             sampler, spp = self.prepare(camera, seed, spp, self.aov_names())
             ray, weight, position = self.sample_rays(scene, camera, sampler)
             with dr.resume_grad():
@@ -268,7 +268,7 @@ def sampled_grid(sensor: Sensor) -> tuple[int, int]:
 
 
 @contextmanager
-def attached(integrator: Integrator, scene: Scene, sensor: Sensor, mode: dr.ADMode) -> Iterator[Scene]:
+def attached(integrator: Integrator, scene: Scene, mode: dr.ADMode, sensor: Sensor | None = None) -> Iterator[Scene]:
     """The scene as it is, if it reads AD variables already; else a view that reads those of its parameters.
 
     It does so within a `with` block: shapes move by the same variables as long.

@@ -205,7 +205,7 @@ class PathProjectiveIntegrator(PSIntegrator):
         wavelengths: Any,
         active: Any,
     ) -> tuple[Color3f, Point2f, UInt32, Bool]:
-        found = self.sample_viewer(scene, sensor, ss, max_depth, sampler, active)
+        found = self.sample_viewer(scene, sensor, ss, max_depth, sampler, active)  # type: ignore[no-untyped-call]
         return found[0], found[1], found[2], found[3]
 
     @dr.syntax

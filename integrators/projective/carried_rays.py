@@ -173,8 +173,8 @@ def back(value: Float) -> None:
         dr.backward_from(value)
 
 
-def carried_rays(mode: dr.ADMode, ray: Ray3f, lanes: int) -> Changes | Chain | None:
-    """What a walk carries, at the first vertex, which the rays of the camera lead to; None for images."""
+def carried_rays(mode: dr.ADMode, ray: Ray3f, lanes: int) -> Any:
+    """What a walk carries, at the first vertex, which the rays of the camera lead to: `Changes`, a `Chain`, or None."""
     if mode == dr.ADMode.Primal:
         return None
     return Changes.of(ray, lanes) if mode == dr.ADMode.Forward else Chain.start(lanes)

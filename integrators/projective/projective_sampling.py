@@ -175,7 +175,7 @@ class PSIntegrator(RBIntegrator):
 
     def render_forward(self, scene: Scene, params: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0) -> TensorXf:
         camera = find_sensor(scene, sensor)
-        with attached(self, scene, camera, dr.ADMode.Forward) as scene:
+        with attached(self, scene, dr.ADMode.Forward, camera) as scene:
             total = dr.zeros(TensorXf, self._shape(camera))
             within, _, _ = self._counts(camera, spp)
             if self.radiative_backprop and within:
@@ -191,7 +191,7 @@ class PSIntegrator(RBIntegrator):
         self, scene: Scene, params: Any, grad_in: TensorXf, sensor: Any = 0, seed: Any = 0, spp: int = 0
     ) -> None:
         camera = find_sensor(scene, sensor)
-        with attached(self, scene, camera, dr.ADMode.Backward) as scene:
+        with attached(self, scene, dr.ADMode.Backward, camera) as scene:
             within, _, _ = self._counts(camera, spp)
             if self.radiative_backprop and within:
                 super().render_backward(scene, params, grad_in, camera, seed, within)

@@ -124,4 +124,4 @@ def relative_solid_angle(o: Point3f, p: Point3f, n: Normal3f, active: Bool) -> F
     p, n = dr.detach(p), dr.detach(n)
     d = p - dr.detach(o)
     counts = active & (dr.abs(dr.dot(n, d)) > GRAZING * dr.norm(d))
-    return relative(solid_angle_to_area_jacobian(o, p, n, counts))  # type: ignore[no-any-return]
+    return Float(relative(solid_angle_to_area_jacobian(o, p, n, counts)))

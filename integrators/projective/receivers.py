@@ -43,9 +43,9 @@ class Receiver:
         self._by_sensor = by_sensor = edges == 2
         self._sensor_moves = bool(sensor.attached_names())
         shown = sensor.sample_ray_differential(0, 0, dr.detach(place) / window, Point2f(0))[0]
-        o, d, seen = shown.o, shown.d, active & by_sensor
+        o, d, seen = shown.o, shown.d, Bool(active) & by_sensor
         if viewer is not None:
-            o, d, seen = dr.select(by_sensor, o, viewer.o), dr.select(by_sensor, d, viewer.d), active
+            o, d, seen = dr.select(by_sensor, o, viewer.o), dr.select(by_sensor, d, viewer.d), Bool(active)
         self._si = integrator.first_hit(scene, Ray3f(o, d), seen, by_sensor)
         self._scene, self._ss, self._seen = scene, ss, seen & self._si.is_valid()
 

@@ -202,7 +202,8 @@ def hidden_by(shape: Any, rendering: Rendering) -> Iterator[str]:
         if emitter.is_environment():
             yield named(emitter)
         elif emitter.from_infinity:
-            toward = DISTANT * -np.array(dr.detach(emitter.forward), np.float64).ravel()
+            forward: Any = emitter.forward  # type: ignore[attr-defined]
+            toward = DISTANT * -np.array(dr.detach(forward), np.float64).ravel()
             if any(between(shape, m.world_box(), shifted(m.world_box(), toward)) for m in rendering.moving):
                 yield named(emitter)
         else:
