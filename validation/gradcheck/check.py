@@ -18,7 +18,7 @@ from djpt.rendering.settings import check_count, check_seed
 from djpt.scenes.overrides import described, override, reduced
 from djpt.validation.gradcheck.differences import Difference, Step, choose_step
 from djpt.validation.gradcheck.directions import Direction, directions_of
-from djpt.validation.gradcheck.losses import Loss, MitsubaLoss
+from djpt.validation.gradcheck.losses import Loss, MitsubaLoss, loss_of
 from djpt.validation.gradcheck.verdicts import Sample, Verdict, compared, paired
 from djpt.validation.metrics import ComparisonError
 
@@ -138,7 +138,8 @@ def check_gradient(
 
     Args:
         scene: A dict of Mitsuba's schema, the name of a built-in scene, or a file.
-        key: The parameter, as in `djpt.traverse`.
+        key: The parameter, as in `djpt.traverse`. Of a `to_world` a motion is checked: the way along x, y and z, in
+            scene units, and turns about these axes, in radians.
         spp: Samples per pixel of each render.
         seeds: The number of seeds to start with.
         most_seeds: The largest number of seeds.
@@ -168,7 +169,7 @@ def check_gradient(
     spp, seeds = max(1, check_count("spp", spp)), max(3, check_count("seeds", seeds))
     most_seeds = max(seeds, check_count("most_seeds", most_seeds))
     with watched(progress, "checking", "renders") as shown:
-        loss = Loss(description, key, spp, sensor, first)
+        loss = loss_of(description, key, spp, sensor, first)
         theirs, notes = mitsuba_loss(description, loss, mitsuba)
         numbers = np.random.SeedSequence([first, 5]).generate_state(2 * most_seeds).tolist()
         directions = directions_of(loss.inward(), loss.reverse(numbers[0]), samples, first)
