@@ -101,9 +101,9 @@ def difference(name: str) -> float:
 
 
 def integrator(kind: str, **settings: Any) -> Any:
-    """One with little effort for its guide."""
+    """One with less effort than usual for its guide."""
     found = djpt.load_dict({"type": kind, "max_depth": 2, **settings})
-    found.proj_seed_spp, found.octree_extra_leaf_sample, found.octree_max_depth = 64, 32, 7
+    found.proj_seed_spp, found.octree_extra_leaf_sample, found.octree_max_depth = 256, 64, 9
     return found
 
 
