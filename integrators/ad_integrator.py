@@ -13,7 +13,7 @@ from djpt.dispatch.ensemble import Attached, Detached
 from djpt.films.base import FilmFlags
 from djpt.integrators.base import Integrator
 from djpt.jit.types import Bool, Color3f, Float, Int32, Point2f, TensorXf, UInt32
-from djpt.rendering.gradients.leaves import attached_parameters, shape_parameters
+from djpt.rendering.gradients.leaves import attached_parameters, motion_parameters
 from djpt.rendering.gradients.own_rendering import attached_view
 from djpt.rendering.gradients.unproven import require_proven
 from djpt.rendering.schedules.job import require_countable
@@ -127,7 +127,7 @@ class ADIntegrator(Integrator):
             time = time + sampler.next_1d() * sensor.shutter_open_time()
         sensor.prepare()
         with dr.resume_grad():
-            ray, weight = sensor.sample_ray_differential(time, 0, on_crop, aperture)
+            ray, weight = sensor.attached().sample_ray_differential(time, 0, on_crop, aperture)
         if scene.media:
             ray.medium = scene.replace(sensor=sensor).camera_medium
         # Without a filter the place on the pixel doesn't matter, and can't be rounded to the next one.
@@ -172,8 +172,9 @@ class ADIntegrator(Integrator):
 
     def render_forward(self, scene: Scene, params: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0) -> TensorXf:
         """The change (H, W, C) of the image that the gradients set on the scene's parameters cause."""
-        with attached(self, scene, dr.ADMode.Forward) as scene, dr.resume_grad():
-            image = self._attached_image(scene, sensor, seed, spp, dr.ADMode.Forward)
+        camera = find_sensor(scene, sensor)
+        with attached(self, scene, dr.ADMode.Forward, camera) as scene, dr.resume_grad():
+            image = self._attached_image(scene, camera, seed, spp, dr.ADMode.Forward)
             dr.forward_to(image)
             return dr.grad(image)
 
@@ -181,8 +182,9 @@ class ADIntegrator(Integrator):
         self, scene: Scene, params: Any, grad_in: TensorXf, sensor: Any = 0, seed: Any = 0, spp: int = 0
     ) -> None:
         """Add the gradients that follow from those of the image, `grad_in` (H, W, C), to the scene's parameters."""
-        with attached(self, scene, dr.ADMode.Backward) as scene, dr.resume_grad():
-            image = self._attached_image(scene, sensor, seed, spp, dr.ADMode.Backward)
+        camera = find_sensor(scene, sensor)
+        with attached(self, scene, dr.ADMode.Backward, camera) as scene, dr.resume_grad():
+            image = self._attached_image(scene, camera, seed, spp, dr.ADMode.Backward)
             propagate(image, grad_in)
         dr.eval()
 
@@ -214,7 +216,7 @@ class RBIntegrator(ADIntegrator):
 
     def render_forward(self, scene: Scene, params: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0) -> TensorXf:
         camera = find_sensor(scene, sensor)
-        with attached(self, scene, dr.ADMode.Forward) as scene, dr.suspend_grad():
+        with attached(self, scene, dr.ADMode.Forward, camera) as scene, dr.suspend_grad():
             spread_changes(scene)
             sampler, spp = self.prepare(camera, seed, spp, self.aov_names())
             ray, weight, position = self.sample_rays(scene, camera, sampler)
@@ -229,7 +231,7 @@ class RBIntegrator(ADIntegrator):
         self, scene: Scene, params: Any, grad_in: TensorXf, sensor: Any = 0, seed: Any = 0, spp: int = 0
     ) -> None:
         camera = find_sensor(scene, sensor)
-        with attached(self, scene, dr.ADMode.Backward) as scene, dr.suspend_grad():
+        with attached(self, scene, dr.ADMode.Backward, camera) as scene, dr.suspend_grad():
             sampler, spp = self.prepare(camera, seed, spp, self.aov_names())
             ray, weight, position = self.sample_rays(scene, camera, sampler)
             with dr.resume_grad():
@@ -272,7 +274,7 @@ def sampled_grid(sensor: Sensor) -> tuple[int, int]:
 
 
 @contextmanager
-def attached(integrator: Integrator, scene: Scene, mode: dr.ADMode) -> Iterator[Scene]:
+def attached(integrator: Integrator, scene: Scene, mode: dr.ADMode, sensor: Sensor | None = None) -> Iterator[Scene]:
     """The scene as it is, if it reads AD variables already; else a view that reads those of its parameters.
 
     It does so within a `with` block: shapes move by the same variables as long.
@@ -286,8 +288,8 @@ def attached(integrator: Integrator, scene: Scene, mode: dr.ADMode) -> Iterator[
     if not isinstance(scene.lookup, Detached):
         yield scene
         return
-    require_proven(scene, integrator)
-    parameters = [*attached_parameters(scene), *shape_parameters(scene)]
+    require_proven(scene, integrator, sensor)
+    parameters = [*attached_parameters(scene), *motion_parameters(scene, sensor)]
     values = [p.value for p in parameters]
     if mode == dr.ADMode.Forward:
         with dr.resume_grad():

@@ -11,7 +11,15 @@ from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
 from djpt.errors import RenderError
 from djpt.integrators.projective.projective_sampling import PSIntegrator
-from djpt.integrators.projective.reattach import attached_light, attached_wi, bsdf_weight
+from djpt.integrators.projective.reattach import (
+    attached_light,
+    attached_ray,
+    attached_wi,
+    bsdf_weight,
+    has_mirrors,
+    mirrored,
+    relative,
+)
 from djpt.integrators.projective.weights import mis_weight
 from djpt.jit.types import Bool, Color3f, Float, Point2f, UInt32
 from djpt.shapes.silhouettes.foreground import foreground
@@ -19,7 +27,7 @@ from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
 __all__ = ["DirectProjectiveIntegrator"]
 
-SMOOTH = int(BSDFFlags.Smooth)
+SMOOTH, DELTA = int(BSDFFlags.Smooth), int(BSDFFlags.Delta)
 
 
 class DirectProjectiveIntegrator(PSIntegrator):
@@ -35,6 +43,7 @@ class DirectProjectiveIntegrator(PSIntegrator):
     """
 
     pure = True
+    direct_light_only = True
     radiative_backprop = False
 
     def __init__(self, props: Properties) -> None:
@@ -56,7 +65,7 @@ class DirectProjectiveIntegrator(PSIntegrator):
         **kwargs: Any,
     ) -> Any:
         attached = mode != dr.ADMode.Primal
-        ray, active = dr.detach(ray), Bool(active)
+        ray, active = ray if attached else dr.detach(ray), Bool(active)
         with dr.resume_grad(when=attached):
             si = self.first_hit(scene, ray, active) if si_shade is None else si_shade
             light = Color3f(0)
@@ -77,16 +86,24 @@ class DirectProjectiveIntegrator(PSIntegrator):
             mis = dr.select(ds.delta, 1, mis_weight(ds.pdf, pdf))
             light = light + dr.select(lit, value * weight * mis, 0)
 
-        bs, scattered = bsdf.sample(ctx, dr.detach(si), sampler.next_1d(), sampler.next_2d(), onward)
+        lobe, square = sampler.next_1d(), sampler.next_2d()
+        bs, scattered = bsdf.sample(ctx, dr.detach(si), lobe, square, onward)
         scattered = dr.detach(scattered)
         by_bsdf = onward & dr.any(scattered != 0)
-        delta = has_flag(bs.sampled_type, int(BSDFFlags.Delta))
+        delta = has_flag(bs.sampled_type, DELTA)
+        mirror = by_bsdf & delta
         next_ray = dr.detach(si.spawn_ray(si.to_world(bs.wo)))
         with dr.resume_grad(when=attached):
+            if attached and has_mirrors(scene):
+                # What a mirror shows moves with it.
+                turned = bsdf.sh_frame(si, mirror).to_world(mirrored(si.wi, bs.wo, bs.eta))
+                next_ray = attached_ray(next_ray, Ray3f(si.p, turned), mirror)
             target = scene.ray_intersect(next_ray, active=by_bsdf)
             if attached:
-                scattered = scattered * bsdf_weight(bsdf, si, next_ray.d, target, by_bsdf & ~delta)
-                target.wi = attached_wi(target, si)
+                smooth = bsdf_weight(bsdf, si, dr.detach(next_ray.d), target, by_bsdf & ~delta)
+                _, by_mirror = bsdf.sample(ctx, si, lobe, square, mirror)
+                scattered = scattered * dr.select(mirror, Color3f(relative(by_mirror)), smooth)
+                target.wi = dr.select(mirror, target.wi, attached_wi(target, si.p))
             emitted = target.emitter(scene).eval(target, by_bsdf)
             seen = DirectionSample3f(scene, dr.detach(target), dr.detach(si))
             other = scene.pdf_emitter_direction(dr.detach(si), seen, by_bsdf & ~delta)
@@ -112,13 +129,13 @@ class DirectProjectiveIntegrator(PSIntegrator):
         o, d = dr.select(second, next_ray.o, to_light.o), dr.select(second, next_ray.d, to_light.d)
         return Ray3f(o, d), by_light | second
 
-    def sample_radiance_difference(
-        self, scene: Any, ss: SilhouetteSample3f, curr_depth: Any, sampler: Any, wavelengths: Any, active: Any
-    ) -> tuple[Color3f, Bool]:
+    def sample_radiances(
+        self, scene: Any, ss: SilhouetteSample3f, curr_depth: Any, sampler: Any, active: Any
+    ) -> tuple[Color3f, Color3f, Bool]:
         depth = int(curr_depth[0]) if dr.is_array_v(curr_depth) else int(curr_depth)
         if depth not in (0, 1):
             raise RenderError(f"direct_projective: silhouettes are on the first two edges of a path, found {depth}")
-        ray = ss.spawn_ray(wavelengths)
+        ray = ss.spawn_ray()
         si, active = foreground(scene, scene.silhouette_shapes(), ss, active)
         if depth == 1:
             behind = scene.ray_intersect(ray, active=active)
@@ -126,8 +143,13 @@ class DirectProjectiveIntegrator(PSIntegrator):
         else:
             back = self.shade(scene, sampler, ray, 0, None, active)
             front = self.shade(scene, sampler, ray, 0, si, active)
-        difference = Color3f(dr.select(active, front - back, 0))
-        return difference, active & dr.any(difference != 0)
+        return dr.select(active, Color3f(front), 0), dr.select(active, Color3f(back), 0), active
+
+    def sample_radiance_difference(
+        self, scene: Any, ss: SilhouetteSample3f, curr_depth: Any, sampler: Any, wavelengths: Any, active: Any
+    ) -> tuple[Color3f, Bool]:
+        front, back, _ = self.sample_radiances(scene, ss, curr_depth, sampler, active)
+        return front - back, dr.any(front != back)
 
     def sample_importance(
         self,
@@ -147,7 +169,7 @@ class DirectProjectiveIntegrator(PSIntegrator):
         it.p = si.p
         ds, importance = sensor.sample_direction(it, sampler.next_2d(), active)
         active = active & dr.any(importance != 0)
-        active = active & ~scene.ray_test(si.spawn_ray_to(ds.p), active)
+        active = active & ~self.hides(scene, si.spawn_ray_to(ds.p), active)
         value = si.bsdf().eval(BSDFContext(TransportMode.Importance), si, si.to_local(ds.d), active)
         found = Color3f(dr.select(active, value * importance, 0))
         return found, ds.uv, UInt32(2), active & dr.any(found != 0)

@@ -9,8 +9,9 @@ import drjit as dr
 from djpt.core.records import BSDFContext, BSDFFlags, DirectionSample3f, Interaction3f, Ray3f, TransportMode, has_flag
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
+from djpt.integrators.projective.carried_rays import carried_rays, onward_direction
 from djpt.integrators.projective.projective_sampling import PSIntegrator
-from djpt.integrators.projective.reattach import attached_light, attached_wi, bsdf_weight
+from djpt.integrators.projective.reattach import attached_light, attached_wi, bsdf_weight, has_mirrors, relative
 from djpt.integrators.projective.weights import mis_weight
 from djpt.jit.kernels import opaque
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
@@ -52,6 +53,12 @@ class PathProjectiveIntegrator(PSIntegrator):
         longest, roulette_from = dr.opaque(UInt32, self.max_depth), dr.opaque(UInt32, self.rr_depth)
         L = Color3f(0 if state_in is None else state_in) + zero
         δL = Color3f(0 if δL is None else δL) + zero
+        # Whether rays are attached, and what is known of their changes or adjoints.
+        with dr.resume_grad():
+            by_camera = not primal and dr.grad_enabled(ray.o, ray.d)
+        carries = not primal and (by_camera or has_mirrors(scene))
+        forward, backward = mode == dr.ADMode.Forward, mode == dr.ADMode.Backward
+        rays = carried_rays(mode, ray, sampler.wavefront_size())
         β, η = Color3f(1) + zero, Float(1) + zero
         depth = UInt32(depth) + UInt32(zero)
         o, d = Point3f(dr.detach(ray.o)) + zero, Vector3f(dr.detach(ray.d)) + zero
@@ -63,13 +70,19 @@ class PathProjectiveIntegrator(PSIntegrator):
         seeds = UInt32(zero)
         o_seed, d_seed, seeded = Point3f(zero), Vector3f(zero), Bool(zero != 0)
 
+        def hit(ray: Ray3f, active: Bool, from_camera: Bool) -> Any:
+            return self.first_hit(scene, ray, active, from_camera)
+
         while dr.hint(active, label="vertices"):
-            here = Ray3f(o, d)
+            here, previous = Ray3f(o, d), p_before
+            carried = first | delta_before
             with dr.resume_grad(when=not primal):
+                if dr.hint(not primal, mode="scalar"):
+                    moved, previous = rays.attach(here, p_before)
+                    here = moved if carries else here
                 si = self.first_hit(scene, here, active, first & (depth == 0))
                 if dr.hint(not primal, mode="scalar"):
-                    before = scene.ray_intersect(Ray3f(o_before, d_before), active & ~first)
-                    si.wi = dr.select(first, si.wi, attached_wi(si, before))
+                    si.wi = dr.select(carried, si.wi, attached_wi(si, previous))
             if dr.hint(si_shade is not None, mode="scalar"):
                 si = dr.select(first, si_shade, si)
             still = dr.detach(si)
@@ -98,8 +111,10 @@ class PathProjectiveIntegrator(PSIntegrator):
                 Lr = β * dr.select(by_light, value * weight * chance, 0)
 
             # The way onward.
-            bs, scattered = bsdf.sample(ctx, still, sampler.next_1d(), sampler.next_2d(), onward)
+            lobe, square = sampler.next_1d(), sampler.next_2d()
+            bs, scattered = bsdf.sample(ctx, still, lobe, square, onward)
             scattered = dr.detach(scattered)
+            smooth = onward & has_flag(bs.sampled_type, DELTA)
             onward_ray = dr.detach(still.spawn_ray(still.to_world(bs.wo)))
             L = L + dr.detach(Le + Lr) if primal else L - dr.detach(Le + Lr)
 
@@ -120,55 +135,93 @@ class PathProjectiveIntegrator(PSIntegrator):
             throughput = dr.select(onward, β * scattered, 0)
             if dr.hint(not primal, mode="scalar"):
                 target = dr.detach(scene.ray_intersect(onward_ray, onward))
-                delta = has_flag(bs.sampled_type, DELTA)
                 with dr.resume_grad():
-                    change = bsdf_weight(bsdf, si, onward_ray.d, target, onward & ~delta)
+                    change = bsdf_weight(bsdf, si, onward_ray.d, target, onward & ~smooth)
+                    turned = onward_ray.d
+                    if dr.hint(carries, mode="scalar"):
+                        _, by_mirror = bsdf.sample(ctx, si, lobe, square, smooth)
+                        change = dr.select(smooth, relative(by_mirror), change)
+                        turned = onward_direction(si, bs.wo, bs.eta, smooth)
                     Lo = Le + Lr + dr.select(onward, L * change, 0)
-                    if dr.hint(mode == dr.ADMode.Backward, mode="scalar"):
+                    if dr.hint(backward, mode="scalar"):
                         dr.backward_from(δL * Lo)
-                    else:
-                        δL = δL + dr.forward_to(Lo)
 
+            way_before = Ray3f(o_before, d_before)
             o_before, d_before, p_before = Point3f(o), Vector3f(d), Point3f(still.p)
             o, d = Point3f(onward_ray.o), Vector3f(onward_ray.d)
             pdf_before, delta_before = Float(bs.pdf), has_flag(bs.sampled_type, DELTA)
             η = dr.select(onward, η * bs.eta, η)
-            β, first = Color3f(throughput), first & False
+            β = Color3f(throughput)
             depth += dr.select(still.is_valid(), UInt32(1), 0)
             # Russian roulette.
             largest = dr.max(β)
             survival = dr.minimum(largest * dr.square(η), 0.95)
             roulette = depth > roulette_from
             β = dr.select(roulette, β / survival, β)
-            active = onward & (largest > 0) & (~roulette | (sampler.next_1d() < survival))
+            goes_on = onward & (largest > 0) & (~roulette | (sampler.next_1d() < survival))
 
+            if dr.hint(forward, mode="scalar"):
+                with dr.resume_grad():
+                    change, rays = rays.leave(Lo, si.p, turned, smooth)
+                δL = δL + change
+            if dr.hint(backward, mode="scalar"):
+                with dr.resume_grad():
+                    rays = rays.end_before(hit, way_before, dr.grad(previous), active & ~carried)
+                    ended = active & carried & ~goes_on
+                    rays = rays.end(hit, dr.grad(moved.o), dr.grad(moved.d), ended)
+                    rays = rays.go_on(moved, bs.wo, bs.eta, smooth)
+            active, first = goes_on, first & False
+
+        if backward and by_camera:
+            with dr.resume_grad():
+                # The graph of the camera is needed again, for what moves on the film.
+                seen = dr.dot(ray.o, rays.camera_o) + dr.dot(ray.d, rays.camera_d)
+                dr.backward_from(seen, flags=dr.ADFlag.ClearInterior)
         seed_rays = Ray3f(o_seed, d_seed)
         return (L if primal else δL), covered, [], ((seed_rays, seeded) if project else L)
+
+    def sample_radiances(
+        self, scene: Any, ss: SilhouetteSample3f, curr_depth: Any, sampler: Any, active: Any
+    ) -> tuple[Color3f, Color3f, Bool]:
+        ray = ss.spawn_ray()
+        si, active = foreground(scene, scene.silhouette_shapes(), ss, active)
+        back = self.shade(scene, sampler, ray, curr_depth, None, active)
+        front = self.shade(scene, sampler, ray, curr_depth, si, active)
+        return dr.select(active, Color3f(front), 0), dr.select(active, Color3f(back), 0), active
 
     def sample_radiance_difference(
         self, scene: Any, ss: SilhouetteSample3f, curr_depth: Any, sampler: Any, wavelengths: Any, active: Any
     ) -> tuple[Color3f, Bool]:
-        ray = ss.spawn_ray(wavelengths)
-        si, active = foreground(scene, scene.silhouette_shapes(), ss, active)
-        back = self.shade(scene, sampler, ray, curr_depth, None, active)
-        front = self.shade(scene, sampler, ray, curr_depth, si, active)
-        difference = Color3f(dr.select(active, front - back, 0))
-        return difference, active & dr.any(difference != 0)
+        front, back, _ = self.sample_radiances(scene, ss, curr_depth, sampler, active)
+        return front - back, dr.any(front != back)
+
+    def sample_importance(
+        self,
+        scene: Any,
+        sensor: Any,
+        ss: SilhouetteSample3f,
+        max_depth: Any,
+        sampler: Any,
+        wavelengths: Any,
+        active: Any,
+    ) -> tuple[Color3f, Point2f, UInt32, Bool]:
+        found = self.sample_viewer(scene, sensor, ss, max_depth, sampler, active)  # type: ignore[no-untyped-call]
+        return found[0], found[1], found[2], found[3]
 
     @dr.syntax
-    def sample_importance(  # type: ignore[no-untyped-def]
-        self, scene, sensor, ss, max_depth, sampler, wavelengths, active
-    ):
+    def sample_viewer(self, scene, sensor, ss, max_depth, sampler, active):  # type: ignore[no-untyped-def]
         ctx = BSDFContext(TransportMode.Importance)
         back = SilhouetteSample3f(ss)
         back.d = -ss.d
-        start = back.spawn_ray(wavelengths)
+        start = back.spawn_ray()
         # The state of loops is an array from the start: what seems constant at first may not stay so.
         zero, longest = dr.opaque(Float, 0, sampler.wavefront_size()), opaque(UInt32(max_depth))
         o, d = Point3f(start.o) + zero, Vector3f(start.d) + zero
         active = Bool(active) & (zero == 0)
         β, W, place = Color3f(1) + zero, Color3f(zero), Point2f(zero)
         edges, found, count = UInt32(1) + UInt32(zero), UInt32(zero), UInt32(zero)
+        # The ray from the second vertex to the first.
+        o_viewer, d_viewer = Point3f(zero), Vector3f(zero) + 1
 
         while dr.hint(active, label="vertices to the sensor"):
             si = scene.ray_intersect(Ray3f(o, d), active)
@@ -177,8 +230,10 @@ class PathProjectiveIntegrator(PSIntegrator):
             it = Interaction3f(0, 0, [], si.p)
             ds, importance = sensor.sample_direction(it, sampler.next_2d(), active)
             edges += dr.select(active, UInt32(1), 0)
+            is_second = active & (edges == 3)
+            o_viewer, d_viewer = dr.select(is_second, si.p, o_viewer), dr.select(is_second, -d, d_viewer)
             connects = active & has_flag(bsdf.flags(), SMOOTH) & dr.any(importance != 0)
-            connects &= ~scene.ray_test(si.spawn_ray_to(ds.p), connects)
+            connects &= ~self.hides(scene, si.spawn_ray_to(ds.p), connects)
             count += dr.select(connects, UInt32(1), 0)
             # Of all connections of a path one is kept, each with the same probability.
             chosen = connects & (sampler.next_1d() * Float(count) <= 1)
@@ -194,7 +249,7 @@ class PathProjectiveIntegrator(PSIntegrator):
             onward = si.spawn_ray(si.to_world(bs.wo))
             o, d = Point3f(onward.o), Vector3f(onward.d)
 
-        return W * Float(count), place, found, dr.any(W != 0)
+        return W * Float(count), place, found, dr.any(W != 0), Ray3f(o_viewer, d_viewer)
 
 
 register_integrator("prb_projective", PathProjectiveIntegrator)

@@ -36,7 +36,7 @@ __all__ = [
 
 def film_image(scene: Scene, settings: RenderSettings) -> TensorXf:
     """The image of an integrator that djpt runs by a schedule; the film keeps it, too."""
-    require_still(scene)
+    require_still(scene, settings.sensor)
     job, names = make_job(scene, settings), channel_names(scene, settings.sensor, settings.integrator)
     how = choose(settings.schedule, job)
     parameters = attached_parameters(job.scene)
@@ -69,7 +69,7 @@ def image_derivative(scene: Scene, settings: RenderSettings, grad: TensorXf | No
     from djpt.rendering.gradients.derivatives import attached_image
 
     begin_trace()
-    require_still(scene)
+    require_still(scene, settings.sensor)
     job = make_job(scene, settings)
     width, height = job.film.crop_size()
     shape = (height, width, job.channel_count())
@@ -180,9 +180,16 @@ def job_of(sampler: Sampler) -> type[Job]:
     return WavefrontJob
 
 
-def require_still(scene: Scene) -> None:
-    """Raise `RenderError` if a parameter that places a shape has gradients, which few integrators can follow."""
+def require_still(scene: Scene, sensor: Any = 0) -> None:
+    """Raise `RenderError` if what places a shape or the sensor has gradients, which few integrators can follow."""
     require_scene(scene)
+    camera = find_sensor(scene, sensor) if scene.sensors() or sensor != 0 else None
+    if camera is not None and (names := camera.attached_names()):
+        name = names[0].replace("attached_matrix", "to_world")
+        raise RenderError(
+            f"'{camera.id()}' moves with gradients with respect to '{name}': "
+            "render with the integrator 'direct_projective' or 'prb_projective'"
+        )
     moving = next((shape for shape in scene.shapes() if shape.is_moving()), None)
     if moving is not None:
         able = "'volprim_rf_basic'" if moving.is_ellipsoids() else "'direct_projective' or 'prb_projective'"

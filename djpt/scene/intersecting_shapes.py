@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from djpt.shapes.mitsuba_api import ShapeType
 
-__all__ = ["between", "is_convex", "may_intersect"]
+__all__ = ["between", "encloses", "is_convex", "is_sphere", "may_intersect"]
 
 Floats = NDArray[np.float64]
 
@@ -83,6 +83,12 @@ def directions(a: Any, b: Any) -> Iterator[Floats]:
     z = (np.arange(DIRECTIONS) + 0.5) / DIRECTIONS
     angle, radius = np.arange(DIRECTIONS) * np.pi * (3 - np.sqrt(5)), np.sqrt(1 - z * z)
     yield from np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)
+
+
+def encloses(outer: Any, inner: Any) -> bool:
+    """Whether a shape lies inside of another one that is a sphere or a cube."""
+    low, high = inner.world_box()
+    return is_within(inner, outer, CLOSE * float(np.linalg.norm(high - low)))
 
 
 def is_within(inner: Any, outer: Any, least: float) -> bool:

@@ -310,6 +310,7 @@ class Scene(MitsubaScene):
         all_media: bool = False,
         sensor: Sensor | None = None,
         near_clip_fraction: Float | None = None,
+        silhouettes_of: Sequence[Shape] | None = None,
     ) -> Scene:
         """A view of this scene with other parts, or the scene itself if nothing changes.
 
@@ -320,10 +321,11 @@ class Scene(MitsubaScene):
             all_media: Whether all media are followed along rays, not only those that absorb without scattering.
             sensor: The sensor that rays come from: it tells where they start, and in which medium.
             near_clip_fraction: How far from the sensor its rays start: see `Sensor.near_clip_fraction`.
+            silhouettes_of: The shapes whose silhouettes are followed.
         """
         lights = self.lights.replace(lookup, emitter_choice)
         more_media = all_media and self.media is not self.every_medium
-        given = (geometry, sensor, near_clip_fraction)
+        given = (geometry, sensor, near_clip_fraction, silhouettes_of)
         if lights is self.lights and not more_media and all(part is None for part in given):
             return self
         view = copy.copy(self)
@@ -337,6 +339,8 @@ class Scene(MitsubaScene):
                 view.media = self.media.replace(lookup)
         if geometry is not None:
             view.geometry = geometry
+        if silhouettes_of is not None:
+            view.silhouettes = view.silhouettes.following(silhouettes_of)
         if near_clip_fraction is not None:
             view.near_clip_fraction = near_clip_fraction
         if more_media:

@@ -30,11 +30,19 @@ class Silhouettes:
     def __init__(self, shapes: Sequence[Shape], lookup: Lookup) -> None:
         """`shapes`: all shapes of the scene; `lookup` reads their values."""
         self._every_shape, self.lookup = shapes, lookup
+        self._followed: tuple[Shape, ...] | None = None
         self.forget()
 
     def forget(self) -> None:
         """Follow an edit of shapes."""
         self._chosen_among: dict[tuple[int, ...], tuple[Family[Any], Weights]] = {}
+
+    def following(self, shapes: Sequence[Shape]) -> Silhouettes:
+        """A view that has the silhouettes of given shapes, whether these are differentiated or not."""
+        view = copy.copy(self)
+        view._followed = tuple(shapes)
+        view.forget()
+        return view
 
     def replace(self, lookup: Lookup) -> Silhouettes:
         """A view whose values are read through `lookup`."""
@@ -45,12 +53,22 @@ class Silhouettes:
 
     def shapes(self) -> list[Any]:
         """The shapes that have silhouettes: those with gradients and a `silhouette_sampling_weight` above 0."""
+        if self._followed is not None:
+            return list(self._followed)
         return [
             shape
             for shape in self._every_shape
             if shape.parameters_grad_enabled()
             and shape.silhouette_sampling_weight() > 0
             and shape.silhouette_discontinuity_types()
+        ]
+
+    def outlined(self) -> list[Any]:
+        """All shapes whose silhouettes are known, those that stay, too."""
+        return [
+            shape
+            for shape in self._every_shape
+            if shape.silhouette_discontinuity_types() and shape.silhouette_sampling_weight() > 0
         ]
 
     def shape(self, number: UInt32) -> ShapePtr:

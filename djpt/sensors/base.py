@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
+import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
@@ -50,6 +51,8 @@ class Sensor(SampledRays, Endpoint):
     """Whether neighbouring pixels look elsewhere: `ray_of_pixel` then is asked in place of `ray_through`."""
     has_neighbours: ClassVar[bool] = True
     """Whether rays have neighbours on the film, to compute footprints from."""
+    motions: ClassVar[tuple[str, ...]] = ()
+    """The attributes that place its rays and may have gradients; `attached_matrix` is that of `to_world`."""
     one_pixel: ClassVar[bool] = False
     """Whether it measures one number: its film then must have one pixel, and has by default."""
 
@@ -90,7 +93,7 @@ class Sensor(SampledRays, Endpoint):
 
     def check_parameter(self, name: str, value: Any) -> Any:
         if name == "to_world":
-            transform = as_transform(value)
+            transform = self._attached(value) if dr.grad_enabled(value) else as_transform(value)
             self.check_placement(transform)
             return transform
         number = as_number(value)
@@ -98,8 +101,44 @@ class Sensor(SampledRays, Endpoint):
             raise ParameterError(f"must be at least 0, found {number:g}")
         return number
 
+    def _attached(self, value: Any) -> ScalarTransform4f:
+        """A `to_world` with gradients."""
+        if "attached_matrix" not in self.motions:
+            raise ParameterError(f"{self.id()}.to_world: gradients with respect to this parameter aren't available")
+        from djpt.sensors.moving import attached_transform  # images of still cameras need none of it
+
+        return attached_transform(value)
+
     def parameters_changed(self, keys: Sequence[str]) -> None:
         """Recompute what kernels read; ``film`` is among the keys if the film's size or crop changed."""
+
+    # ---- motion ------------------------------------------------------------------------
+
+    @property
+    def attached_matrix(self) -> Any:
+        """The matrix of `to_world` if it has gradients, else None."""
+        lanes = getattr(self.to_world, "lanes", None)
+        return None if lanes is None else lanes.matrix
+
+    def attached_names(self) -> list[str]:
+        """The attributes that place its rays and have gradients, also where these are suspended."""
+        if not self.motions:
+            return []
+        with dr.resume_grad():
+            values = ((name, getattr(self, name)) for name in self.motions)
+            return [name for name, value in values if value is not None and dr.grad_enabled(value)]
+
+    def attached(self) -> Any:
+        """The sensor, its rays attached to what places them; itself if nothing has gradients."""
+        if not self.attached_names():
+            return self
+        from djpt.sensors.moving import attached_view  # images of still cameras need none of it
+
+        return attached_view(self)
+
+    def moved_rays(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """The attributes that rays are computed from, attached to the values of `motions` that have gradients."""
+        raise NotImplementedError
 
     # ---- its parts ---------------------------------------------------------------------
 

@@ -44,6 +44,7 @@ class Orthographic(ProjectiveCamera):
         ParamFlags.NonDifferentiable,
     )
     can_be_reached = True
+    motions = ("attached_matrix",)
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
@@ -74,6 +75,11 @@ class Orthographic(ProjectiveCamera):
         self.to_column, self.to_row = as_vector(across / (across @ across)), as_vector(down / (down @ down))
         self.axis_length = float(np.linalg.norm(linear[:, 2]))
         self.inv_area = as_float(1 / float(np.linalg.norm(across) * np.linalg.norm(down)))
+
+    def moved_rays(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        from djpt.sensors.moving import parallel_rays  # images of still cameras need none of it
+
+        return parallel_rays(self, values)
 
     def projection_transform(self) -> Any:
         film = self.film()

@@ -39,6 +39,7 @@ class Perspective(Central):
 
     in_any_frame = True
     is_pinhole = True
+    motions = ("attached_matrix", "x_fov", *OFFSETS)
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
@@ -48,16 +49,18 @@ class Perspective(Central):
 
     def traverse_lens(self, callback: TraversalCallback) -> None:
         for name in ("x_fov", *OFFSETS):
-            callback.put(name, getattr(self, name))
+            callback.put(name, getattr(self, name), self.motion_flags(name))
 
     def move_lens(self, frame: Frame) -> None:
         self._focus_distance *= frame.scale
 
     def check_parameter(self, name: str, value: Any) -> Any:
-        return Float(as_number(value)) if name in OFFSETS else super().check_parameter(name, value)
+        if name not in OFFSETS:
+            return super().check_parameter(name, value)
+        return Float(value) if dr.grad_enabled(value) else Float(as_number(value))
 
     def image_shift(self) -> NDArray[np.float64]:
-        return np.array([self.principal_point_offset_x[0], self.principal_point_offset_y[0]])
+        return np.array([float(dr.detach(getattr(self, name))[0]) for name in OFFSETS])
 
     def ray_through(self, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True) -> Ray3f:
         d = self.through_centre(film_position)

@@ -54,7 +54,12 @@ class ProjectiveCamera(Sensor):
         callback.put("far_clip", self._far_clip, attribute="_far_clip")
         super().traverse(callback)
         self.traverse_lens(callback)
-        callback.put("to_world", self.to_world)
+        callback.put("to_world", self.to_world, self.motion_flags("attached_matrix"))
+
+    def motion_flags(self, name: str) -> ParamFlags:
+        """The flags of a parameter that is among the `motions` or not."""
+        moves = ParamFlags.Differentiable | ParamFlags.Discontinuous
+        return moves if name in self.motions else ParamFlags.NonDifferentiable
 
     def traverse_lens(self, callback: TraversalCallback) -> None:
         """Report the parameters that the class adds."""
@@ -156,10 +161,10 @@ class Central(ProjectiveCamera):
 
     def check_parameter(self, name: str, value: Any) -> Any:
         if name == "x_fov":
-            number = as_number(value)
+            number = as_number(dr.detach(value))
             if not 0 < number < 180:
                 raise ParameterError(f"must lie in (0, 180), found {number:g}")
-            return Float(number)
+            return Float(value) if dr.grad_enabled(value) else Float(number)
         return super().check_parameter(name, value)
 
     def projection_transform(self) -> Any:
@@ -169,12 +174,17 @@ class Central(ProjectiveCamera):
 
         return perspective_projection(*window, self.x_fov, self._near_clip, self._far_clip)
 
+    def moved_rays(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        from djpt.sensors.moving import central_rays  # images of still cameras need none of it
+
+        return central_rays(self, values)
+
     def image_shift(self) -> NDArray[np.float64] | None:
         """The shift of the image's centre, in image widths and heights; None if there is none."""
         return None
 
     def place(self) -> None:
-        corner, step = self.crop_window(math.tan(math.radians(self.x_fov[0]) / 2), self.image_shift())
+        corner, step = self.crop_window(math.tan(math.radians(dr.detach(self.x_fov)[0]) / 2), self.image_shift())
         linear = self.to_world.matrix[:3, :3]
         self.origin = as_vector(self.to_world.translation())
         self.corner = as_vector(linear @ [*corner, 1.0])

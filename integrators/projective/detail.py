@@ -11,15 +11,27 @@ from typing import Any
 import drjit as dr
 
 from djpt.core.records import SHADOW_EPSILON, DiscontinuityFlags, Interaction3f, RayFlags, SurfaceInteraction3f
-from djpt.distributions.distributions_1d import DiscreteDistribution
 from djpt.errors import RenderError
-from djpt.integrators.projective.guiding import BaseGuidingDistr, GridDistr, OcSpaceDistr, UniformDistr, places_of
+from djpt.integrators.projective.guiding import (
+    UNIFORM_SHARE,
+    BaseGuidingDistr,
+    GridDistr,
+    OcSpaceDistr,
+    UniformDistr,
+    places_of,
+)
+from djpt.integrators.projective.outlines import Outlines
 from djpt.integrators.projective.projection import ProjectOperation
-from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32
+from djpt.integrators.projective.receivers import Receiver
+from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f
+from djpt.sensors.orthographic import Orthographic
 from djpt.sensors.perspective import Perspective
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
 __all__ = ["ProjectiveDetail"]
+
+FAR = 1e4
+"""The distance from which outlines are seen by parallel rays, in radii of the scene."""
 
 FEW_SAMPLES = 1 << 20
 """If fewer samples count, the octree is learnt from all of them."""
@@ -32,60 +44,51 @@ class ProjectiveDetail:
 
     def __init__(self, parent: Any) -> None:
         self.parent = parent
-        self.primary_indices: list[UInt32] = []
-        self.primary_distributions: list[DiscreteDistribution] = []
-        self.primary_shape_distribution: DiscreteDistribution | None = None
+        self.outlines: Outlines | None = None
         self.guiding_distr: BaseGuidingDistr | None = None
 
     # ---- silhouettes that the camera sees ----------------------------------------------------
 
     def init_primarily_visible_silhouette(self, scene: Any, sensor: Any) -> None:
         """Find the silhouettes as the sensor sees them, of all shapes that move."""
-        shapes = scene.silhouette_shapes()
-        viewpoint = sensor.world_transform().transform_point([0, 0, 0])
-        parts = [shape.precompute_silhouette(viewpoint) for shape in shapes]
-        self.primary_indices = [indices for indices, _ in parts]
-        self.primary_distributions = [
-            DiscreteDistribution(weights if dr.width(weights) else Float(0)) for _, weights in parts
-        ]
-        seen = [float(dr.width(weights) > 0) for _, weights in parts]
-        weights = [s * shape.silhouette_sampling_weight() for s, shape in zip(seen, shapes, strict=True)]
-        self.primary_shape_distribution = DiscreteDistribution(Float(weights))
+        self.outlines = Outlines(scene.silhouette_shapes(), viewpoint_of(scene, sensor))
 
     def sample_primarily_visible_silhouette(
         self, scene: Any, viewpoint: Any, sample2: Point2f, active: Bool | bool
     ) -> SilhouetteSample3f:
-        """A point of the silhouettes as seen from `viewpoint`; `pdf` is per unit length."""
-        assert self.primary_shape_distribution is not None
-        number, u, chance = self.primary_shape_distribution.sample_reuse_pmf(sample2.x, active)
-        result = SilhouetteSample3f()
-        for k, shape in enumerate(scene.silhouette_shapes()):
-            if not dr.width(self.primary_indices[k]):
-                continue
-            mine = active & (number == k)
-            place, part_chance = self.primary_distributions[k].sample_pmf(u, mine)
-            part = dr.gather(UInt32, self.primary_indices[k], place, mine)
-            valid = mine & (part_chance > 0) & (chance > 0)
-            ss = shape.sample_precomputed_silhouette(viewpoint, part, sample2.y, valid)
-            ss.pdf, ss.scene_index = ss.pdf * part_chance * chance, UInt32(k)
-            result = dr.select(valid, ss, result)
-        return result
+        """A point of the silhouettes as the sensor sees them; `pdf` is per unit length."""
+        assert self.outlines is not None
+        return self.outlines.sample(sample2, active)
+
+    def speed_on_film(self, sensor: Any, ss: SilhouetteSample3f, active: Bool | bool) -> Float:
+        """The area that a unit of length of outlines sweeps on the film, a unit square: 0, attached.
+
+        Points stick to their shapes, and the film moves with the sensor: both count.
+        """
+        assert self.outlines is not None
+        moved = place_on_film(sensor, self.outlines.follow(ss, active))
+        change = moved - dr.detach(moved)
+        tangent, outward = self._film_vectors(sensor, ss)
+        side = dr.mulsign(Float(1), tangent.x * outward.y - tangent.y * outward.x)
+        return dr.select(active, (tangent.x * change.y - tangent.y * change.x) * side, 0)
 
     def sensor_jacobian(self, sensor: Any, ss: SilhouetteSample3f) -> Float:
         """The area on the film, which is a unit square, of the unit square of `silhouette_d` and `n` at silhouettes."""
+        a, b = self._film_vectors(sensor, ss)
+        return dr.abs(a.x * b.y - a.y * b.x)
+
+    def _film_vectors(self, sensor: Any, ss: SilhouetteSample3f) -> tuple[Point2f, Point2f]:
+        """How far points move on the film, a unit square, along `silhouette_d` and along `n`."""
         with dr.resume_grad():
             steps = [Float(0), Float(0)]
             dr.enable_grad(steps)
             places = []
             for step, direction in zip(steps, (ss.silhouette_d, ss.n), strict=True):
-                it = dr.zeros(Interaction3f)
-                it.p = dr.fma(direction, step, dr.detach(ss.p))
-                places.append(sensor.sample_direction(it, Point2f(0))[0].uv)
+                places.append(place_on_film(sensor, dr.fma(dr.detach(direction), step, dr.detach(ss.p))))
                 dr.set_grad(step, 1)
                 dr.enqueue(dr.ADMode.Forward, step)
             dr.traverse(dr.ADMode.Forward)
-            a, b = (dr.grad(place) / Point2f(sensor.film().crop_size()) for place in places)
-        return dr.abs(a.x * b.y - a.y * b.x)
+            return dr.grad(places[0]), dr.grad(places[1])
 
     def eval_primary_silhouette_radiance_difference(
         self, scene: Any, sampler: Any, ss: SilhouetteSample3f, sensor: Any, active: Bool | bool = True
@@ -93,20 +96,22 @@ class ProjectiveDetail:
         """The difference of radiance at silhouettes that the sensor sees, and no wavelengths; 0 where it doesn't.
 
         Raises:
-            RenderError: the sensor isn't a perspective camera.
+            RenderError: the sensor is neither a perspective nor an orthographic camera.
         """
-        if not isinstance(sensor, Perspective):
-            raise RenderError(f"silhouettes are supported for perspective cameras only, found '{sensor.id()}'")
         with dr.suspend_grad():
-            center = Point3f(sensor.world_transform().transform_point([0, 0, 0]))
             back = SilhouetteSample3f(ss)
             back.d = -ss.d
             ray = back.spawn_ray()
-            ray.maxt = dr.norm(center - ray.o) * (1 - SHADOW_EPSILON)
             it = dr.zeros(Interaction3f)
             it.p = ss.p
+            ray.maxt = sensor.sample_direction(it, Point2f(0))[0].dist * (1 - SHADOW_EPSILON)
             _, importance = sensor.sample_direction(it, Point2f(0), Bool(active))
-            visible = active & ~scene.ray_test(ray, active) & dr.any(importance != 0)
+            if self.parent.hide_emitters:
+                # Lamps are passed by, and so have no outlines.
+                for number, shape in enumerate(scene.silhouette_shapes()):
+                    if shape.emitter() is not None:
+                        active = active & (ss.scene_index != number)
+            visible = active & ~self.parent.hides(scene, ray, active) & dr.any(importance != 0)
             difference, found = self.parent.sample_radiance_difference(scene, ss, 0, sampler, [], visible)
             return dr.select(visible & found, difference, 0), []
 
@@ -165,11 +170,12 @@ class ProjectiveDetail:
 
     def _grid(self) -> GridDistr:
         parent = self.parent
-        return GridDistr(parent.guiding_grid_reso, parent.clamp_mass_thres, parent.scale_mass)
+        reso, least = parent.guiding_grid_reso, parent.clamp_mass_thres
+        return GridDistr(reso, least, parent.scale_mass, uniform_share=UNIFORM_SHARE)
 
     def _use(self, grid: GridDistr, mass: Float) -> None:
         """Guide by a grid, unless nothing was found."""
-        self.guiding_distr = None
+        self.guiding_distr = UniformDistr()
         if dr.any(mass > 0):
             grid.set_mass(mass)
             self.guiding_distr = grid
@@ -196,6 +202,7 @@ class ProjectiveDetail:
             parent.octree_highres_x_slices,
             parent.octree_scatter_inc,
             parent.scale_mass,
+            uniform_share=UNIFORM_SHARE,
         )
         nx, ny, nz = parent.guiding_grid_reso
         if parent.guiding_proj:
@@ -208,7 +215,7 @@ class ProjectiveDetail:
             points, active = Point3f(sampler.next_1d(), sampler.next_1d(), sampler.next_1d()), Bool(True)
         mass = self._mass(scene, sensor, points, sampler, active)
         dr.eval(points, mass)
-        self.guiding_distr = None
+        self.guiding_distr = UniformDistr()
         count = dr.width(places_of(mass > 0))
         if not count:
             return
@@ -219,7 +226,7 @@ class ProjectiveDetail:
         try:
             tree.set_points(points, mass, seed)
         except RenderError:
-            # What random points of the leaves can't find isn't worth a guide.
+            # Random points of the leaves find nothing: all points are alike.
             return
         self.guiding_distr = tree
 
@@ -242,16 +249,20 @@ class ProjectiveDetail:
             lune = DiscontinuityFlags.DirectionLune if parent.guiding == "none" else DiscontinuityFlags.DirectionSphere
             ss = scene.sample_silhouette(Point3f(sample), int(DiscontinuityFlags.AllTypes | lune), active)
             active = active & ss.is_valid()
-            importance, place, depth, reached = parent.sample_importance(
-                scene, sensor, ss, parent.max_depth, sampler, [], active
+            importance, place, edges, reached, viewer = parent.sample_viewer(
+                scene, sensor, ss, parent.max_depth, sampler, active
             )
             active = active & reached
-            difference, differs = parent.sample_radiance_difference(scene, ss, depth - 1, sampler, [], active)
-            active = active & differs
-            value = dr.select(active, importance * difference * (ss.foreshortening * dr.rcp(ss.pdf)), 0)
+            front, back, known = parent.sample_radiances(scene, ss, edges - 1, sampler, active)
+            active = active & known
+            weight = dr.select(active, importance * (ss.foreshortening * dr.rcp(ss.pdf)), 0)
             if preprocess:
-                return dr.abs(value), [], Point2f(0)
-        return Color3f(value) * self.speed(scene, ss, active), [], place
+                moves = Receiver(parent, scene, sensor, ss, place, edges, viewer, active).moves()
+                return weight * (dr.abs(front - back) + dr.select(moves, back, 0)), [], Point2f(0)
+            behind = scene.ray_intersect(ss.spawn_ray(), active=active).t
+        receiver = Receiver(parent, scene, sensor, ss, place, edges, viewer, active)
+        value = Color3f(front - back) * self.speed(scene, ss, active) + Color3f(back) * receiver.speed_at_edge(behind)
+        return Color3f(weight) * value, [], place
 
     def speed(self, scene: Any, ss: SilhouetteSample3f, active: Bool | bool) -> Float:
         """The speed of silhouettes along their normals: 0, attached to the parameters of the shapes."""
@@ -259,3 +270,26 @@ class ProjectiveDetail:
         si.p, si.prim_index, si.uv = dr.detach(ss.p), ss.prim_index, ss.uv
         followed = scene.silhouette_shape(ss.scene_index).differential_motion(si, active)
         return dr.select(active, dr.dot(followed - dr.detach(followed), dr.detach(ss.n)), 0)
+
+
+def viewpoint_of(scene: Any, sensor: Any) -> Point3f:
+    """The point that a sensor sees outlines from; of one with parallel rays a point far away.
+
+    Raises:
+        RenderError: the sensor is neither a perspective nor an orthographic camera.
+    """
+    if isinstance(sensor, Perspective):
+        return Point3f(sensor.world_transform().transform_point([0, 0, 0]))
+    if not isinstance(sensor, Orthographic):
+        raise RenderError(
+            f"silhouettes are supported for perspective and orthographic cameras only, found '{sensor.id()}'"
+        )
+    center, radius = scene.bounding_sphere()
+    return Point3f(*(float(c) for c in center)) - dr.detach(sensor.direction) * (FAR * float(radius))
+
+
+def place_on_film(sensor: Any, p: Point3f) -> Point2f:
+    """Where a sensor sees points, on a film that is a unit square."""
+    it = dr.zeros(Interaction3f)
+    it.p = p
+    return Point2f(sensor.sample_direction(it, Point2f(0))[0].uv / Point2f(sensor.film().crop_size()))

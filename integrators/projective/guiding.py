@@ -16,9 +16,12 @@ from djpt.distributions.distributions_1d import DiscreteDistribution
 from djpt.errors import RenderError
 from djpt.jit.types import Bool, Float, Point3f, UInt32, Vector3f, backend
 
-__all__ = ["BaseGuidingDistr", "GridDistr", "OcSpaceDistr", "UniformDistr", "places_of"]
+__all__ = ["UNIFORM_SHARE", "BaseGuidingDistr", "GridDistr", "OcSpaceDistr", "UniformDistr", "places_of"]
 
 Array3u = backend.Array3u
+
+UNIFORM_SHARE = 0.1
+"""The `uniform_share` of the guides of integrators."""
 
 
 class BaseGuidingDistr:
@@ -27,6 +30,17 @@ class BaseGuidingDistr:
     def sample(self, sampler: Any) -> tuple[Vector3f, Float]:
         """A point per lane of the sampler, and the inverse of its density."""
         raise NotImplementedError(f"{type(self).__name__} needs a method sample(sampler)")
+
+
+def shares(mass: Float, volume: Float, uniform_share: float) -> Float:
+    """The probabilities of boxes: by mass, except for a share by volume, which finds what no mass is known of.
+
+    Args:
+        mass: the mass of each box.
+        volume: its share of the cube.
+        uniform_share: the probability of the choice by volume; with 0 boxes without mass are never chosen.
+    """
+    return mass if uniform_share == 0 else dr.fma(mass / dr.sum(mass), 1 - uniform_share, volume * uniform_share)
 
 
 class UniformDistr(BaseGuidingDistr):
@@ -41,17 +55,23 @@ class GridDistr(BaseGuidingDistr):
 
     Args:
         resolution: the cells along x, y, z.
-        clamp_mass_thres: cells with less than this fraction of all mass are never sampled.
+        clamp_mass_thres: cells with less than this fraction of all mass have none.
         scale_mass: masses are raised to the power 1 - scale_mass.
         debug_logs: accepted; nothing is logged.
+        uniform_share: the probability with which all cells are sampled alike: above 0 estimates have no bias.
     """
 
     def __init__(
-        self, resolution: Sequence[int], clamp_mass_thres: float, scale_mass: float = 0.0, debug_logs: bool = False
+        self,
+        resolution: Sequence[int],
+        clamp_mass_thres: float,
+        scale_mass: float = 0.0,
+        debug_logs: bool = False,
+        uniform_share: float = 0.0,
     ) -> None:
         self.resolution = [int(n) for n in resolution]
         self.num_cells = self.resolution[0] * self.resolution[1] * self.resolution[2]
-        self.clamp_mass_thres, self.scale_mass = clamp_mass_thres, scale_mass
+        self.clamp_mass_thres, self.scale_mass, self.uniform_share = clamp_mass_thres, scale_mass, uniform_share
         self.pmf = DiscreteDistribution()
 
     def get_cell_array(self, index_array_: UInt32) -> Any:
@@ -73,7 +93,7 @@ class GridDistr(BaseGuidingDistr):
             mass = dr.select(mass < self.clamp_mass_thres * dr.sum(mass), 0, mass)
         if self.scale_mass > 0:
             mass = Float(dr.power(mass, 1 - self.scale_mass))
-        self.pmf = DiscreteDistribution(mass)
+        self.pmf = DiscreteDistribution(shares(mass, Float(1 / self.num_cells), self.uniform_share))
 
     def sample(self, sampler: Any) -> tuple[Vector3f, Float]:
         inside = three(sampler)
@@ -102,11 +122,12 @@ class OcSpaceDistr(BaseGuidingDistr):
         extra_spc: random points per leaf.
         eval_indirect_integrand_handle: (points, sampler) -> (value, ..): the function that the density imitates.
         clamp_input_mass_thres: accepted; samples count if their mass exceeds the attribute `mass_contruction_thres`.
-        clamp_mass_thres: leaves with less than this fraction of all mass are never sampled.
+        clamp_mass_thres: leaves with less than this fraction of all mass have none.
         prepartition_x_slices: the slabs along x that the cube is first cut into.
         scatter_inc: accepted, but has no effect.
         scale_mass: masses are raised to the power 1 - scale_mass.
         debug_logs: accepted; nothing is logged.
+        uniform_share: the probability with which leaves are chosen by volume alone: above 0 estimates have no bias.
     """
 
     def __init__(
@@ -121,7 +142,9 @@ class OcSpaceDistr(BaseGuidingDistr):
         scatter_inc: bool = False,
         scale_mass: float = 0.0,
         debug_logs: bool = False,
+        uniform_share: float = 0.0,
     ) -> None:
+        self.uniform_share = uniform_share
         self.max_depth, self.max_leaf_count, self.extra_spc = max_depth, max_leaf_count, extra_spc
         self.eval_indirect_integrand_handle = eval_indirect_integrand_handle
         self.prepartition_x_slices = prepartition_x_slices
@@ -162,6 +185,10 @@ class OcSpaceDistr(BaseGuidingDistr):
         Raises:
             RenderError: there are more leaves than `max_leaf_count`.
         """
+        return self._leaves(points)[:2]
+
+    def _leaves(self, points: Point3f) -> tuple[Point3f, Point3f, UInt32]:
+        """The corners of the leaves, and the number of the leaf that each point lies in."""
         count = self.prepartition_x_slices
         edge = dr.arange(Float, count) / count
         low = Point3f(edge, dr.zeros(Float, count), dr.zeros(Float, count))
@@ -169,7 +196,7 @@ class OcSpaceDistr(BaseGuidingDistr):
         node = dr.minimum(UInt32(points.x * count), count - 1)
         active = dr.full(Bool, True, dr.width(points))
         leaves: list[tuple[Point3f, Point3f]] = []
-        total = 0
+        leaf, total = dr.zeros(UInt32, dr.width(points)), 0
         for level in itertools.count(1):
             middle, buffer = 0.5 * (low + high), dr.zeros(Float, 48 * count)
             self.split(buffer, low, high, middle, dr.arange(UInt32, count))
@@ -184,6 +211,9 @@ class OcSpaceDistr(BaseGuidingDistr):
             chosen, others = places_of(is_leaf), places_of(~is_leaf)
             if dr.width(chosen):
                 leaves.append(self.aabbs(buffer, chosen))
+                number = dr.cumsum(dr.select(is_leaf, UInt32(1), 0)) - 1 + total
+                arrived = active & dr.gather(Bool, is_leaf, child, active)
+                leaf = dr.select(arrived, dr.gather(UInt32, number, child, active), leaf)
             total += dr.width(chosen)
             count = dr.width(others)
             if total + 8 * count > self.max_leaf_count:
@@ -198,20 +228,24 @@ class OcSpaceDistr(BaseGuidingDistr):
             active &= ~dr.gather(Bool, is_leaf, child, active)
             rank = dr.cumsum(dr.select(is_leaf, UInt32(0), 1)) - 1
             node = dr.gather(UInt32, rank, child, active)
-            dr.eval(low, high, node, active)
-        return joined([low for low, _ in leaves]), joined([high for _, high in leaves])
+            dr.eval(low, high, node, active, leaf)
+        return joined([low for low, _ in leaves]), joined([high for _, high in leaves]), leaf
 
     def estimate_mass_in_leaves(
         self, aabb_min: Point3f, aabb_max: Point3f, seed: UInt32 | int, log: bool = False
     ) -> Float:
         """The mean of the imitated function in each leaf, from `extra_spc` random points."""
+        return self._values_in_leaves(aabb_min, aabb_max, seed, 1) / self.extra_spc
+
+    def _values_in_leaves(self, aabb_min: Point3f, aabb_max: Point3f, seed: UInt32 | int, power: int) -> Float:
+        """The sum of a power of the imitated function at `extra_spc` random points of each leaf."""
         from djpt.description.loader import load_dict
 
         sampler: Any = load_dict({"type": "independent"})
         sampler.seed(0xFFFFFFFF ^ seed, dr.width(aabb_min) * self.extra_spc)
         low, high = dr.repeat(aabb_min, self.extra_spc), dr.repeat(aabb_max, self.extra_spc)
         value = self.eval_indirect_integrand_handle(dr.lerp(low, high, three(sampler)), sampler)[0]
-        return dr.block_sum(dr.max(value), self.extra_spc) / self.extra_spc
+        return dr.block_sum(dr.power(dr.max(value), power), self.extra_spc)
 
     def set_points(self, points: Point3f, mass: Float, seed: UInt32 | int = 0, log: bool = False) -> None:
         """Learn the density from points of the cube and their masses; those of mass 0 don't count.
@@ -222,20 +256,27 @@ class OcSpaceDistr(BaseGuidingDistr):
         kept = places_of(mass > self.mass_contruction_thres)
         if not dr.width(kept):
             raise RenderError("OcSpaceDistr: no sample has mass above the threshold: use more samples, or lower it")
-        low, high = self.construct_octree(dr.gather(Point3f, points, kept), log)
-        mean = self.estimate_mass_in_leaves(low, high, seed, log)
+        low, high, leaf = self._leaves(dr.gather(Point3f, points, kept))
+        if self.uniform_share > 0:
+            # Samples vary least if leaves are chosen by the root of the mean square. It counts leaves in which most
+            # random points find nothing, and the points themselves know of more such leaves.
+            known = self._values_in_leaves(low, high, seed, 2)
+            count = dr.full(Float, self.extra_spc, dr.width(low))
+            dr.scatter_add(known, dr.square(dr.gather(Float, mass, kept)), leaf)
+            dr.scatter_add(count, Float(1), leaf)
+            mean = dr.sqrt(known / count)
+        else:
+            mean = self.estimate_mass_in_leaves(low, high, seed, log)
         size = high - low
         box_mass = mean * size.x * size.y * size.z
-        if self.clamp_mass_thres > 0:
-            # Where there is hardly any mass, a sample would have an enormous weight.
-            valid = places_of((mean >= self.clamp_mass_thres * dr.sum(mean)) & (box_mass > 0))
-            if not dr.width(valid):
-                raise RenderError("OcSpaceDistr: no leaf has mass: use more samples")
-            low, high = dr.gather(Point3f, low, valid), dr.gather(Point3f, high, valid)
-            box_mass = dr.gather(Float, box_mass, valid)
+        # Where there is hardly any mass, a sample would have an enormous weight.
+        valid = (mean >= self.clamp_mass_thres * dr.sum(mean)) & (box_mass > 0)
+        if not dr.any(valid):
+            raise RenderError("OcSpaceDistr: no leaf has mass: use more samples")
+        box_mass = dr.select(valid, box_mass, 0)
         if self.scale_mass > 0:
             box_mass = Float(dr.power(box_mass, 1 - self.scale_mass))
-        self.pmf = DiscreteDistribution(box_mass)
+        self.pmf = DiscreteDistribution(shares(box_mass, size.x * size.y * size.z, self.uniform_share))
         self.lower, self.upper = low, high
 
     def sample(self, sampler: Any) -> tuple[Vector3f, Float]:

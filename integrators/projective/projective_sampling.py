@@ -6,12 +6,17 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.core.records import DirectionSample3f, Interaction3f, SurfaceInteraction3f
+from djpt.core.records import DirectionSample3f, Interaction3f, Ray3f, SurfaceInteraction3f
 from djpt.description.properties import Properties
 from djpt.films.base import FilmFlags
 from djpt.integrators.ad_integrator import RBIntegrator, attached, modes, propagate
+from djpt.integrators.projective.cuts import cuts_on_film
 from djpt.integrators.projective.detail import ProjectiveDetail
+from djpt.integrators.projective.receivers import followed, outlined
+from djpt.integrators.projective.shadows import ShadowEdges, delta_lights
+from djpt.jit.frozen import recording
 from djpt.jit.types import Bool, Color3f, Float, Point2f, TensorXf, UInt32
+from djpt.rendering.gradients.meetings import flat_meshes, meeting_pairs
 from djpt.samplers.base import Sampler
 from djpt.scene.scene import Scene, find_sensor
 from djpt.sensors.base import Sensor
@@ -20,6 +25,7 @@ from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 __all__ = ["PSIntegrator"]
 
 PRIMARY_SEED, GUIDING_SEED, INDIRECT_SEED = 0xFFFFFFFF, 0xAFAFAFAF, 0xAA00AA00
+SHADOW_SEED, CUT_SEED = 0x77777777, 0x33333333
 """Combined with the seed of the image, for samples of their own."""
 
 
@@ -43,6 +49,8 @@ class PSIntegrator(RBIntegrator):
     """
 
     follows_silhouettes = True
+    direct_light_only = False
+    """True if surfaces are lit by emitters alone."""
     radiative_backprop = True
     """True if the derivative within surfaces is computed in a second run of `sample`."""
 
@@ -107,6 +115,16 @@ class PSIntegrator(RBIntegrator):
         """
         raise NotImplementedError(f"{type(self).__name__} needs a method sample_radiance_difference(scene, ss, ..)")
 
+    def sample_radiances(
+        self, scene: Scene, ss: SilhouetteSample3f, curr_depth: Any, sampler: Sampler, active: Bool | bool
+    ) -> tuple[Color3f, Color3f, Bool]:
+        """The radiance of the surface at silhouettes, that of what is behind, and where both are known.
+
+        By default the latter is 0, and the former the difference: shadows on points that move then stay behind.
+        """
+        difference, known = self.sample_radiance_difference(scene, ss, curr_depth, sampler, [], active)
+        return difference, Color3f(0), known
+
     def sample_importance(
         self,
         scene: Scene,
@@ -124,6 +142,22 @@ class PSIntegrator(RBIntegrator):
         """
         raise NotImplementedError(f"{type(self).__name__} needs a method sample_importance(scene, sensor, ss, ..)")
 
+    def sample_viewer(
+        self,
+        scene: Scene,
+        sensor: Sensor,
+        ss: SilhouetteSample3f,
+        max_depth: Any,
+        sampler: Sampler,
+        active: Bool | bool,
+    ) -> tuple[Color3f, Point2f, UInt32, Bool, Ray3f | None]:
+        """The result of `sample_importance`, and the rays that hit what sees the silhouettes.
+
+        They come from the next vertex, and are asked for where there are more than two edges. By default there are
+        none, which means that such points don't move.
+        """
+        return (*self.sample_importance(scene, sensor, ss, max_depth, sampler, [], active), None)
+
     # ---- derivatives ---------------------------------------------------------------------
 
     def override_spp(self, integrator_spp: int | None, runtime_spp: int, sampler_spp: int) -> int:
@@ -140,7 +174,7 @@ class PSIntegrator(RBIntegrator):
 
     def render_forward(self, scene: Scene, params: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0) -> TensorXf:
         camera = find_sensor(scene, sensor)
-        with attached(self, scene, dr.ADMode.Forward) as scene:
+        with attached(self, scene, dr.ADMode.Forward, camera) as scene:
             total = dr.zeros(TensorXf, self._shape(camera))
             within, _, _ = self._counts(camera, spp)
             if self.radiative_backprop and within:
@@ -156,7 +190,7 @@ class PSIntegrator(RBIntegrator):
         self, scene: Scene, params: Any, grad_in: TensorXf, sensor: Any = 0, seed: Any = 0, spp: int = 0
     ) -> None:
         camera = find_sensor(scene, sensor)
-        with attached(self, scene, dr.ADMode.Backward) as scene:
+        with attached(self, scene, dr.ADMode.Backward, camera) as scene:
             within, _, _ = self._counts(camera, spp)
             if self.radiative_backprop and within:
                 super().render_backward(scene, params, grad_in, camera, seed, within)
@@ -174,23 +208,42 @@ class PSIntegrator(RBIntegrator):
 
     def render_ad(self, scene: Scene, sensor: Any, seed: Any, spp: int, mode: dr.ADMode) -> TensorXf:
         """An image with the derivatives that `radiative_backprop` doesn't compute; its values are meaningless."""
-        camera = find_sensor(scene, sensor)
+        camera = find_sensor(scene, sensor).attached()
         within, primary, indirect = self._counts(camera, spp)
         total = dr.zeros(TensorXf, self._shape(camera))
-        if scene.silhouette_shapes():
+        if scene.silhouette_shapes() or camera.attached_names():
+            all_edges = scene.replace(silhouettes_of=followed(scene, camera, self.max_depth, self.direct_light_only))
             if primary:
+                # As the camera moves, so do all outlines.
+                shown = scene.replace(silhouettes_of=outlined(scene, camera))
                 with dr.suspend_grad():
-                    self.proj_detail.init_primarily_visible_silhouette(scene, camera)
+                    self.proj_detail.init_primarily_visible_silhouette(shown, camera)
                     sampler, count = self.prepare(camera, PRIMARY_SEED ^ seed, primary, self.aov_names())
-                total += self.render_primarily_visible_silhouette(scene, camera, sampler, count)
+                total += self.render_primarily_visible_silhouette(shown, camera, sampler, count)
             if indirect:
                 with dr.suspend_grad():
-                    self.proj_detail.init_indirect_silhouette(scene, camera, GUIDING_SEED ^ seed)
+                    self.proj_detail.init_indirect_silhouette(all_edges, camera, GUIDING_SEED ^ seed)
                     sampler, count = self.prepare(camera, INDIRECT_SEED ^ seed, indirect, self.aov_names())
-                total += self.render_indirect_silhouette(scene, camera, sampler, count)
+                total += self.render_indirect_silhouette(all_edges, camera, sampler, count)
+            if primary and self._surfaces_meet(scene, camera):
+                sampler, _ = self.prepare(camera, CUT_SEED ^ seed, primary, self.aov_names())
+                value, place, found = cuts_on_film(self, scene, camera, sampler)
+                total += self._splatted(camera, sampler, place, value, found)
+            lights = delta_lights(scene) if indirect else []
+            for number, light in enumerate(lights):
+                share = -(-indirect // len(lights))
+                sampler, _ = self.prepare(camera, (SHADOW_SEED + number) ^ seed, share, self.aov_names())
+                value, place = ShadowEdges(scene, light).estimate(self, camera, sampler)
+                total += self._splatted(camera, sampler, place, value, Bool(True))
         if within and not self.radiative_backprop:
             total += self._attached_image(scene, camera, seed, within, mode)
         return total
+
+    def _surfaces_meet(self, scene: Scene, sensor: Sensor) -> bool:
+        """Whether the sensor may see curves in which surfaces meet, and which move."""
+        shapes = scene.shapes()
+        moving = shapes if sensor.attached_names() else scene.silhouette_shapes()
+        return recording() or bool(flat_meshes(moving)) or next(meeting_pairs(shapes, moving), None) is not None
 
     def render_primarily_visible_silhouette(self, scene: Scene, sensor: Sensor, sampler: Sampler, spp: int) -> TensorXf:
         """The image of the silhouettes that the sensor sees, attached to the parameters of shapes.
@@ -200,14 +253,13 @@ class PSIntegrator(RBIntegrator):
         """
         detail = self.proj_detail
         with dr.suspend_grad():
-            center = sensor.world_transform().transform_point([0, 0, 0])
-            ss = detail.sample_primarily_visible_silhouette(scene, center, sampler.next_2d(), Bool(True))
+            assert detail.outlines is not None
+            ss = detail.outlines.sample(sampler.next_2d())
             active = ss.is_valid() & (ss.pdf > 0)
-            jacobian = detail.sensor_jacobian(sensor, ss)
             difference, _ = detail.eval_primary_silhouette_radiance_difference(scene, sampler, ss, sensor, active)
-            weight = dr.select(active, difference * jacobian * dr.rcp(ss.pdf), 0)
+            weight = dr.select(active, difference * dr.rcp(ss.pdf), 0)
             ds, _ = on_film(sensor, ss)
-        return self._splatted(sensor, sampler, ds.uv, weight * detail.speed(scene, ss, active), active)
+        return self._splatted(sensor, sampler, ds.uv, weight * detail.speed_on_film(sensor, ss, active), active)
 
     def render_indirect_silhouette(self, scene: Scene, sensor: Sensor, sampler: Sampler, spp: int) -> TensorXf:
         """The image of the silhouettes that other surfaces see, attached to the parameters of shapes; guided."""
@@ -238,7 +290,14 @@ class PSIntegrator(RBIntegrator):
         """The first surface point along rays, which pass through emitters `from_sensor` if these are hidden."""
         if not self.hide_emitters:
             return scene.ray_intersect(ray, active=active)
-        return scene.surface_interaction_of(scene.closest_hit(ray, active, through_lights=Bool(from_sensor)), ray)
+        found = scene.closest_hit(dr.detach(ray), active, through_lights=Bool(from_sensor))
+        return scene.surface_interaction_of(found, ray)
+
+    def hides(self, scene: Scene, ray: Any, active: Bool | bool) -> Bool:
+        """Whether something hides the end of rays from the sensor: with `hide_emitters` no lamps do."""
+        if not self.hide_emitters:
+            return scene.ray_test(ray, active)
+        return scene.closest_hit(ray, active, through_lights=Bool(True)).is_valid()
 
     def seed_rays(self, scene: Scene, sensor: Sensor, sampler: Sampler) -> tuple[Any, Bool]:
         """The rays of paths that `sample` offers for projection."""

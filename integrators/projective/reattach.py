@@ -1,4 +1,9 @@
-"""Terms of a path whose values were sampled without gradients, attached to the parameters that move."""
+"""Terms of a path whose values were sampled without gradients, attached to the parameters that move.
+
+One rule says how the vertices of a path move, see `docs/theory/moving-geometry.md`: a vertex is the hit of the ray that
+arrives at it. That ray stays as it is, unless it comes from a camera that moves, or from a perfectly smooth surface,
+which takes it along. What a rough surface looks at stays where it is, in area measure.
+"""
 
 from __future__ import annotations
 
@@ -6,11 +11,32 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.core.records import BSDFContext, DirectionSample3f, EmitterFlags, SurfaceInteraction3f, has_flag
+from djpt.core.records import (
+    BSDFContext,
+    BSDFFlags,
+    DirectionSample3f,
+    EmitterFlags,
+    Ray3f,
+    SurfaceInteraction3f,
+    has_flag,
+)
 from djpt.integrators.projective.weights import solid_angle_to_area_jacobian
-from djpt.jit.types import Bool, Color3f, Vector3f
+from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point3f, Vector3f
+from djpt.shapes.silhouettes.base import with_gradient
 
-__all__ = ["attached_light", "attached_wi", "bsdf_weight", "direction_to", "relative"]
+__all__ = [
+    "attached_light",
+    "attached_ray",
+    "attached_wi",
+    "bsdf_weight",
+    "direction_to",
+    "has_mirrors",
+    "mirrored",
+    "relative",
+]
+
+GRAZING = 1e-3
+"""The cosine below which the solid angle of an area isn't differentiated: a millionth of a ball's picture."""
 
 
 def relative(value: Any) -> Any:
@@ -20,19 +46,43 @@ def relative(value: Any) -> Any:
     return ratio
 
 
+def has_mirrors(scene: Any) -> bool:
+    """Whether a surface has a perfectly smooth lobe, or lets light pass straight through."""
+    return any(has_flag(bsdf.flags(), BSDFFlags.Delta) for bsdf in scene.bsdfs.ensemble.plugins)
+
+
+def attached_ray(ray: Ray3f, moving: Ray3f, where: Bool) -> Ray3f:
+    """A ray that moves as another one does that is the same, on the lanes `where` it is."""
+    o = with_gradient(ray.o, dr.select(where, moving.o, dr.detach(ray.o)))
+    d = with_gradient(ray.d, dr.select(where, moving.d, dr.detach(ray.d)))
+    return Ray3f(o, d)
+
+
+def mirrored(wi: Vector3f, wo: Vector3f, eta: Float) -> Vector3f:
+    """The direction `wo` of a perfectly smooth lobe, attached to `wi`.
+
+    A reflection turns x and y around; a refraction also divides them by `eta`, the ratio of the indices:
+
+        wo = (-x / eta, -y / eta, +-sqrt(1 - (x^2 + y^2) / eta^2)).
+    """
+    through = dr.detach(wi.z) * wo.z < 0
+    ratio = -dr.select(through, dr.rcp(dr.detach(eta)), 1)
+    x, y = wi.x * ratio, wi.y * ratio
+    z = dr.mulsign(dr.safe_sqrt(1 - dr.square(x) - dr.square(y)), dr.detach(wo.z))
+    return Vector3f(with_gradient(wo, Vector3f(x, y, z)))
+
+
 def direction_to(si: SurfaceInteraction3f, target: SurfaceInteraction3f, d: Vector3f) -> Vector3f:
     """The direction `d` from one hit to another, attached to the first: the second one stays. `d` on a miss."""
     toward = dr.normalize(dr.detach(target.p) - si.p)
-    attached: Any = dr.replace_grad(d, dr.select(target.is_valid(), toward, d))  # type: ignore[func-returns-value]
-    return Vector3f(attached)
+    return Vector3f(with_gradient(d, dr.select(target.is_valid(), toward, d)))
 
 
-def attached_wi(si: SurfaceInteraction3f, previous: SurfaceInteraction3f) -> Vector3f:
-    """`si.wi`, attached to the point that the ray came from: the hit itself stays."""
+def attached_wi(si: SurfaceInteraction3f, previous: Point3f) -> Vector3f:
+    """`si.wi`, attached to the frame of the surface, and to the point that the ray came from; the hit itself stays."""
     still = dr.detach(si)
-    toward = still.sh_frame.to_local(dr.normalize(previous.p - still.p))
-    attached: Any = dr.replace_grad(si.wi, dr.select(still.is_valid(), toward, si.wi))  # type: ignore[func-returns-value]
-    return Vector3f(attached)
+    toward = si.sh_frame.to_local(dr.normalize(previous - still.p))
+    return Vector3f(with_gradient(si.wi, dr.select(still.is_valid(), toward, dr.detach(si.wi))))
 
 
 def attached_light(
@@ -40,19 +90,22 @@ def attached_light(
 ) -> tuple[Vector3f, Color3f]:
     """The direction of an emitter sample and its weight, attached to the emitter's values and to the point `si`.
 
-    The point on the emitter stays; so, as `si` moves, the solid angle of an area changes.
+    As with the samples of a BSDF, the place on the emitter is where the ray there hits it: if the emitter moves, its
+    texture moves past. As `si` moves, that place stays, and the solid angle of an area changes.
     """
     flags = ds.emitter.flags()
     surface, infinite = has_flag(flags, EmitterFlags.Surface), has_flag(flags, EmitterFlags.Infinite)
+    on_lamp = active & surface
     toward = dr.normalize(dr.detach(ds.p) - si.p)
-    d: Any = dr.replace_grad(ds.d, dr.select(infinite | ~active, ds.d, toward))  # type: ignore[func-returns-value]
-    moved = ds.replaced(d=Vector3f(d))
-    arriving = scene.eval_emitter_direction(si, moved, active)
+    d = Vector3f(with_gradient(ds.d, dr.select(infinite | ~active, ds.d, toward)))
+    arriving = scene.eval_emitter_direction(si, ds.replaced(d=d), active)
+    if any(shape.emitter() is not None for _, shape in scene.moving()):
+        hit = scene.ray_intersect(dr.detach(si).spawn_ray(dr.detach(ds.d)), active=on_lamp)
+        hit.wi = attached_wi(hit, si.p)
+        arriving = dr.select(on_lamp & hit.is_valid(), hit.emitter(scene).eval(hit, on_lamp), arriving)
     inverse = dr.select(ds.pdf != 0, dr.rcp(dr.detach(ds.pdf)), 0)
     plain = dr.select(active & dr.any(weight != 0), arriving * inverse, 0)
-    attached: Any = dr.replace_grad(weight, plain)  # type: ignore[func-returns-value]
-    jacobian = solid_angle_to_area_jacobian(si.p, dr.detach(ds.p), dr.detach(ds.n), active & surface)
-    return Vector3f(d), Color3f(attached) * relative(jacobian)
+    return d, Color3f(with_gradient(weight, plain)) * relative_solid_angle(si.p, ds.p, ds.n, on_lamp)
 
 
 def bsdf_weight(
@@ -60,5 +113,15 @@ def bsdf_weight(
 ) -> Color3f:
     """1 per channel, with the relative derivative of a BSDF's value along `d`, times that of the solid angle."""
     value = bsdf.eval(BSDFContext(), si, si.to_local(direction_to(si, target, d)), active)
-    jacobian = solid_angle_to_area_jacobian(si.p, dr.detach(target.p), dr.detach(target.n), active & target.is_valid())
-    return Color3f(relative(value)) * relative(jacobian)
+    return Color3f(relative(value)) * relative_solid_angle(si.p, target.p, target.n, active & target.is_valid())
+
+
+def relative_solid_angle(o: Point3f, p: Point3f, n: Normal3f, active: Bool) -> Float:
+    """1, with the relative derivative by `o` of the solid angle of an area at `p` whose normal is `n`; both stay.
+
+    It grows without bound where the area is seen at a grazing angle, and below `GRAZING` is left out.
+    """
+    p, n = dr.detach(p), dr.detach(n)
+    d = p - dr.detach(o)
+    counts = active & (dr.abs(dr.dot(n, d)) > GRAZING * dr.norm(d))
+    return Float(relative(solid_angle_to_area_jacobian(o, p, n, counts)))

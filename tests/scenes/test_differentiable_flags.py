@@ -14,7 +14,7 @@ from djpt.core.transforms import ScalarTransform4f as T
 from djpt.description.registry import plugin_modules
 from djpt.errors import ParameterError
 from djpt.jit.types import TensorXf
-from djpt.rendering.gradients.leaves import attached_parameters, shape_parameters, unused_values
+from djpt.rendering.gradients.leaves import attached_parameters, motion_parameters, unused_values
 from tests.fuzz.seeds import seed_files
 
 DIFFUSE = {"type": "diffuse"}
@@ -115,7 +115,7 @@ def test_what_is_marked_has_derivatives(kind: str, name: str, tmp_path: Path, mo
         params.update()
         view = scene.replace(all_media=True)
         found = attached_parameters(view)
-        assert [*found, *shape_parameters(view), *unused_values(view, found)], f"{key} reaches no integrator"
+        assert [*found, *motion_parameters(view), *unused_values(view, found)], f"{key} reaches no integrator"
         dr.disable_grad(value)
         params[key] = value
         params.set_dirty(key)

@@ -15,7 +15,9 @@ from djpt.images.sheets import DARK, Tile, captioned_sheet, enlarged
 from djpt.rendering.progress import Progress, watched
 from djpt.rendering.settings import check_count, check_seed
 from djpt.scenes.overrides import described, override, reduced
-from djpt.validation.gradcheck.losses import Loss, MitsubaLoss
+from djpt.validation.gradcheck.losses import Loss
+from djpt.validation.gradcheck.losses import MitsubaLoss
+from djpt.validation.gradcheck.losses import loss_of
 from djpt.validation.metrics import ComparisonError
 from djpt.validation.report import Bytes, Pictured, difference_picture
 from djpt.validation.statistics import sidak
@@ -359,7 +361,8 @@ def check_gradient(
 
     Args:
         scene: A dict of Mitsuba's schema, the name of a built-in scene, or a file.
-        key: The parameter, as in `djpt.traverse`.
+        key: The parameter, as in `djpt.traverse`. Of a `to_world` a motion is checked: the way along x, y and z, in
+            scene units, and turns about these axes, in radians.
         spp: Samples per pixel of each render.
         seeds: The number of seeds to start with.
         most_seeds: The largest number of seeds.
@@ -389,7 +392,7 @@ def check_gradient(
     spp, seeds = max(1, check_count("spp", spp)), max(3, check_count("seeds", seeds))
     most_seeds = max(seeds, check_count("most_seeds", most_seeds))
     with watched(progress, "checking", "renders") as shown:
-        loss = Loss(description, key, spp, sensor, first)
+        loss = loss_of(description, key, spp, sensor, first)
         theirs, notes = mitsuba_loss(description, loss, mitsuba)
         numbers = np.random.SeedSequence([first, 5]).generate_state(2 * most_seeds).tolist()
         directions = directions_of(loss.inward(), loss.reverse(numbers[0]), samples, first)

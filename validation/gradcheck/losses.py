@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -9,15 +10,18 @@ import drjit as dr
 import numpy as np
 import numpy.typing as npt
 
+from djpt.core.transforms.lanes import Transform4f
 from djpt.description.loader import load_dict
 from djpt.description.parameters import traverse
+from djpt.description.plugin import ParamFlags
 from djpt.errors import ParameterError
+from djpt.jit.types import Float, UInt32
 from djpt.rendering.render import render
 from djpt.scenes.overrides import override
 from djpt.validation.bridge import mitsuba_scene
 from djpt.validation.metrics import ComparisonError
 
-__all__ = ["Loss", "MitsubaLoss", "weights"]
+__all__ = ["Loss", "MitsubaLoss", "MotionLoss", "loss_of", "weights"]
 
 NEAR_ZERO = 1e-6
 """Entries below this are taken for zero."""
@@ -46,7 +50,7 @@ class Loss:
         self.key, self.spp, self.sensor = key, spp, sensor
         self.scene = load_dict(scene, optimize=False)  # as Mitsuba's, whose names need it
         self.params = traverse(self.scene)
-        value = self.params[key]
+        value = self._start()
         if not self.params.flags(key).differentiable or not dr.is_array_v(value):
             raise ParameterError(f"{key}: has no derivatives")
         self.kind, self.shape = type(value), np.shape(np.array(value))
@@ -56,6 +60,10 @@ class Loss:
         if not first.size:
             raise ComparisonError("the integrator makes no channels to check")
         self.weights = weights(first.shape, seed)
+
+    def _start(self) -> Any:
+        """The parameter where it is checked."""
+        return self.params[self.key]
 
     def image(self, seed: int) -> npt.NDArray[np.float32]:
         """The image, (H, W, C)."""
@@ -98,7 +106,7 @@ class Loss:
         try:
             image = self._rendered(seed)
             dr.backward(dr.mean(image * type(image)(self.weights), axis=None))
-            return np.array(dr.grad(self.params[self.key]), np.float64).ravel()
+            return np.array(dr.grad(self.variable()), np.float64).ravel()
         finally:
             self._assign(self.values)
 
@@ -106,10 +114,14 @@ class Loss:
         """The derivative of the image in a direction, by forward mode, (H, W, C)."""
         self._attach()
         try:
-            dr.set_grad(self.params[self.key], self._typed(direction))
+            dr.set_grad(self.variable(), self._typed(direction))
             return np.array(dr.forward_to(self._rendered(seed)), np.float64)
         finally:
             self._assign(self.values)
+
+    def variable(self) -> Any:
+        """The variable with the entries, which has gradients while the loss is differentiated."""
+        return self.params[self.key]
 
     def _rendered(self, seed: int) -> Any:
         # One seed for image and gradient: the same paths.
@@ -128,6 +140,50 @@ class Loss:
         self.params.update()
 
 
+class MotionLoss(Loss):
+    """The loss as a function of a rigid motion of what a transform places, which is its parameter.
+
+    Its six entries are the way along x, y and z, in scene units, and the angles of turns about axes in these directions
+    through the place, in radians.
+    """
+
+    def _start(self) -> Any:
+        if not self.params.flags(self.key).differentiable:
+            raise ParameterError(f"{self.key}: has no derivatives")
+        self._base = Transform4f(self.params[self.key])
+        self._theta = dr.zeros(Float, 6)
+        return self._theta
+
+    def variable(self) -> Any:
+        return self._theta
+
+    def _assign(self, entries: Floats) -> None:
+        self._theta = self._typed(entries)
+        self._place()
+
+    def _attach(self) -> None:
+        self._theta = self._typed(self.values)
+        dr.enable_grad(self._theta)
+        self._place()
+
+    def _place(self) -> None:
+        entries = [dr.gather(Float, self._theta, UInt32(i)) for i in range(6)]
+        matrix = self._base.matrix
+        center = [dr.detach(matrix[i, 3]) for i in range(3)]
+        turned = Transform4f().translate(center)
+        for axis, angle in zip(np.eye(3).tolist(), entries[3:], strict=True):
+            turned = turned @ Transform4f().rotate(axis, angle * (180 / math.pi))
+        back = turned @ Transform4f().translate([-c for c in center])
+        self.params[self.key] = Transform4f().translate(entries[:3]) @ back @ self._base
+        self.params.update()
+
+
+def loss_of(scene: Mapping[str, Any], key: str, spp: int, sensor: int, seed: int) -> Loss:
+    """The loss as a function of a parameter, or, if it is a transform, of a motion."""
+    kind = MotionLoss if key.rpartition(".")[2] == "to_world" else Loss
+    return kind(scene, key, spp, sensor, seed)
+
+
 REPLAYING = {"path": "prb", "volpath": "prbvolpath", "volpathmis": "prbvolpath"}
 """The integrators that replace others in Mitsuba, since they need not record loops to be differentiated."""
 
@@ -141,6 +197,8 @@ class MitsubaLoss:
 
     def __init__(self, scene: Mapping[str, Any], key: str, spp: int, sensor: int, like: Loss) -> None:
         self.key, self.spp, self.sensor, self.like = key, spp, sensor, like
+        if like.params.flags(key) & ParamFlags.Discontinuous:
+            raise ComparisonError("motions are compared with differences only")
         if np.any(np.abs(like.values) < NEAR_ZERO):
             raise ComparisonError("its path replay divides by the differentiated value, which is zero here")
         node = scene.get("integrator")

@@ -24,6 +24,7 @@ from djpt.jit.kernels import opaque
 from djpt.jit.types import Bool, Float, UInt32
 from djpt.rendering.gradients.entry_sums import EntrySums, entry_sums, prepare_functions
 from djpt.scene.scene import Scene
+from djpt.sensors.base import Sensor
 
 __all__ = [
     "Accumulator",
@@ -32,8 +33,8 @@ __all__ = [
     "Parameter",
     "Tangents",
     "attached_parameters",
+    "motion_parameters",
     "prepare_tables",
-    "shape_parameters",
     "unused_values",
 ]
 
@@ -94,9 +95,13 @@ def prepare_tables(scene: Scene) -> None:
     prepare_functions({entry_size(tensor) for tensor in attached})
 
 
-def shape_parameters(scene: Scene) -> list[Parameter]:
-    """The parameters of shapes that have gradients, as `djpt.shapes.silhouettes.moving` reads them."""
-    return [Parameter(shape, name) for shape in scene.shapes() for name in shape.attached_names()]
+def motion_parameters(scene: Scene, sensor: Sensor | None = None) -> list[Parameter]:
+    """The parameters of shapes, and of a sensor, that place them and have gradients.
+
+    `djpt.shapes.silhouettes.moving` says how they are read.
+    """
+    placed: list[Any] = [*scene.shapes()] if sensor is None else [*scene.shapes(), sensor]
+    return [Parameter(owner, name) for owner in placed for name in owner.attached_names()]
 
 
 def unused_values(scene: Scene, parameters: Sequence[Parameter]) -> list[Any]:

@@ -11,9 +11,10 @@ import drjit as dr
 from djpt.dispatch.ensemble import Attached
 from djpt.jit.types import TensorXf
 from djpt.rendering.gradients.derivatives import attached_image
-from djpt.rendering.gradients.leaves import Parameter, attached_parameters, shape_parameters
+from djpt.rendering.gradients.leaves import Parameter, attached_parameters, motion_parameters
 from djpt.rendering.gradients.unproven import require_proven
 from djpt.rendering.settings import RenderSettings
+from djpt.scene.arguments import find_sensor
 from djpt.scene.scene import Scene
 from djpt.shapes.silhouettes.moving import exchanged
 from djpt.shapes.silhouettes.normals import with_normals
@@ -36,7 +37,7 @@ def image_by_itself(scene: Scene, params: Any, settings: RenderSettings) -> Tens
     integrator = settings.integrator
     if integrator.follows_media:
         scene = scene.replace(all_media=True)
-    parameters = [*attached_parameters(scene), *shape_parameters(scene)]
+    parameters = [*attached_parameters(scene), *motion_parameters(scene, find_sensor(scene, settings.sensor))]
 
     def primal() -> TensorXf:
         with dr.suspend_grad():
@@ -44,7 +45,7 @@ def image_by_itself(scene: Scene, params: Any, settings: RenderSettings) -> Tens
 
     if not parameters:
         return primal()
-    require_proven(scene, integrator)
+    require_proven(scene, integrator, find_sensor(scene, settings.sensor))
     return attached_image(parameters, [], primal, OwnDerivative(scene, params, settings, parameters))
 
 

@@ -12,19 +12,26 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import drjit as dr
+import numpy as np
 
 from djpt.core.records import BSDFFlags, EmitterFlags, has_flag
 from djpt.description.plugin import Plugin
 from djpt.description.registry import name_of
 from djpt.errors import RenderError
 from djpt.jit.frozen import recording
-from djpt.scene.intersecting_shapes import between, is_convex, may_intersect
+from djpt.rendering.gradients.meetings import flat_meshes, meeting_pairs
+from djpt.scene.intersecting_shapes import between, encloses, is_convex, is_sphere
 
 if TYPE_CHECKING:
     from djpt.integrators.base import Integrator
     from djpt.scene.scene import Scene
+    from djpt.sensors.base import Sensor
 
 __all__ = ["CASES", "Case", "Rendering", "require_proven"]
+
+
+DISTANT = 1e6
+"""How far away a light at infinity is taken to be."""
 
 
 @dataclass(frozen=True)
@@ -37,17 +44,24 @@ class Rendering:
     """The shapes whose place has gradients; not clouds of ellipsoids, which have no silhouettes by definition."""
     seen: tuple[Any, ...]
     """All shapes that rays can hit; an instance stands for its group."""
+    camera: Sensor | None
+    """The sensor, if its place has gradients."""
 
     @staticmethod
-    def of(scene: Scene, integrator: Integrator) -> Rendering:
+    def of(scene: Scene, integrator: Integrator, sensor: Sensor | None = None) -> Rendering:
         """The rendering of a scene by an integrator."""
         shapes = scene.shapes()
         moving = tuple(s for s in shapes if s.parameters_grad_enabled() and not s.is_ellipsoids())
-        return Rendering(scene, integrator, moving, tuple(s for s in shapes if s.class_name() != "ShapeGroup"))
+        seen = tuple(s for s in shapes if s.class_name() != "ShapeGroup")
+        return Rendering(scene, integrator, moving, seen, sensor if sensor and sensor.attached_names() else None)
+
+    def passes_by(self) -> tuple[Any, ...]:
+        """The shapes that may change their place in the picture: those that move, or all if the camera does."""
+        return self.moving if self.camera is None else self.seen
 
     def bsdfs(self, *, of_moving: bool = False) -> Iterator[tuple[Any, Any]]:
         """Each shape, of those that move or of all, with its BSDF."""
-        for shape in self.moving if of_moving else self.scene.geometry.contents.shapes:
+        for shape in self.passes_by() if of_moving else self.scene.geometry.contents.shapes:
             if shape.bsdf() is not None:
                 yield shape, shape.bsdf()
 
@@ -77,15 +91,35 @@ def named(plugin: Any) -> str:
     return f"'{plugin.id()}' ({name_of(type(plugin)) or type(plugin).__name__})"
 
 
-def of_lobes(*lobes: int) -> Callable[[Rendering], Iterator[str]]:
-    """Finds shapes whose BSDF has any of the lobes of each number."""
+def alone(rendering: Rendering) -> bool:
+    """Whether a single convex shape is all that rays can hit."""
+    return len(rendering.seen) == 1 and not recording() and is_convex(rendering.seen[0])
 
-    def found(rendering: Rendering) -> Iterator[str]:
-        for shape, bsdf in rendering.bsdfs():
-            if all(has_flag(bsdf.flags(), kind) for kind in lobes):
-                yield f"'{shape.id()}' has the BSDF {named(bsdf)}"
 
-    return found
+def of_lobes(rendering: Rendering, kind: int) -> Iterator[str]:
+    """Shapes whose BSDF has any of some lobes."""
+    for shape, bsdf in rendering.bsdfs():
+        if has_flag(bsdf.flags(), kind):
+            yield f"'{shape.id()}' has the BSDF {named(bsdf)}"
+
+
+def reflections(rendering: Rendering) -> Iterator[str]:
+    """Smooth surfaces, unless there is nothing else: a single convex shape doesn't see itself."""
+    if not alone(rendering):
+        yield from of_lobes(rendering, BSDFFlags.DeltaReflection | BSDFFlags.DeltaTransmission)
+
+
+def layers(rendering: Rendering) -> Iterator[str]:
+    """Surfaces that light passes straight through, unless there is nothing but a ball or a plane one."""
+    if not (alone(rendering) and (is_sphere(rendering.seen[0]) or rendering.seen[0].plane() is not None)):
+        yield from of_lobes(rendering, BSDFFlags.Null)
+
+
+def creases(rendering: Rendering) -> Iterator[str]:
+    """Moving meshes whose shading jumps at edges, where that is seen not only by the camera."""
+    if not direct_light_only(rendering.integrator):
+        for mesh in flat_meshes(rendering.passes_by()):
+            yield f"'{mesh.id()}' has flat facets"
 
 
 def bent_normals(rendering: Rendering) -> Iterator[str]:
@@ -105,55 +139,87 @@ def bends_normals(bsdf: Any) -> bool:
     )
 
 
-def textured_lights(rendering: Rendering) -> Iterator[str]:
-    """Moving shapes with an area light whose radiance varies."""
-    for shape in rendering.moving:
-        radiance = getattr(shape.emitter(), "radiance", None)
-        if isinstance(radiance, Plugin) and not radiance.is_constant:  # type: ignore[attr-defined]
-            yield f"'{shape.id()}' has the area light {named(shape.emitter())} with the texture {named(radiance)}"
+def jumping_textures(rendering: Rendering) -> Iterator[str]:
+    """Textures of moving shapes whose colour jumps."""
+    for shape in rendering.passes_by():
+        for owner in (shape.bsdf(), shape.emitter()):
+            for texture in () if owner is None else textures_in(owner):
+                if name_of(type(texture)) == "checkerboard" or getattr(texture, "filter_type", "") == "nearest":
+                    yield f"'{shape.id()}' has the texture {named(texture)}"
 
 
-def sharp_shadows(rendering: Rendering) -> Iterator[str]:
-    """Lights without extent, unless nothing can be shadowed: a single convex shape shadows nothing."""
-    alone = len(rendering.seen) == 1
-    if alone and not recording() and is_convex(rendering.seen[0]):
-        return
+def textures_in(plugin: Any) -> Iterator[Any]:
+    """The textures that a plugin, and those nested in it, consist of."""
+    for name in plugin.children:
+        child = getattr(plugin, name, None)
+        if isinstance(child, Plugin) and child.kind in ("bsdf", "texture"):
+            if child.kind == "texture":
+                yield child
+            yield from textures_in(child)
+
+
+def bounded_beams(rendering: Rendering) -> Iterator[str]:
+    """Lights whose beams have sharp sides."""
     for emitter in rendering.emitters(EmitterFlags.Delta):
-        yield f"{named(emitter)} shines"
+        if emitter.on_shape or name_of(type(emitter)) == "projector":
+            yield f"{named(emitter)} shines"
+
+
+def direct_light_only(integrator: Any) -> bool:
+    """Whether surfaces are lit by emitters alone."""
+    return bool(getattr(integrator, "direct_light_only", False) or getattr(integrator, "max_depth", 3) <= 2)
 
 
 def intersections(rendering: Rendering) -> Iterator[str]:
-    """Shapes that a moving one cuts or touches."""
-    moving = {id(shape) for shape in rendering.moving}
-    moved: list[Any] = []  # of those before
-    for i, shape in enumerate(rendering.seen):
-        moves = id(shape) in moving
-        for other in rendering.seen[:i] if moves else moved:
-            if may_intersect(shape, other):
-                yield f"'{shape.id()}' and '{other.id()}' intersect or touch"
-        if moves:
-            moved.append(shape)
+    """Shapes that a moving one cuts or touches, where that is seen not only by the camera."""
+    direct = direct_light_only(rendering.integrator)
+    for shape, other in meeting_pairs(rendering.seen, rendering.passes_by()):
+        if not direct or shape.emitter() is not None or other.emitter() is not None:
+            yield f"'{shape.id()}' and '{other.id()}' intersect or touch"
 
 
-def shadows_on_moving(rendering: Rendering) -> Iterator[str]:
-    """Shapes that stay between one that moves and a light with an extent."""
-    moving = {id(shape) for shape in rendering.moving}
-    lights = [e.get_shape() for e in rendering.emitters(EmitterFlags.Surface) if e.get_shape() is not None]
-    for shape in rendering.moving:
-        for light in lights:
-            for other in rendering.seen:
-                if light is shape or other is light or id(other) in moving:
-                    continue
-                if between(other, shape.world_box(), light.world_box()):
-                    yield f"'{other.id()}' may throw a shadow of the lamp '{light.id()}' on '{shape.id()}'"
+def unknown_outlines(rendering: Rendering) -> Iterator[str]:
+    """Shapes that stay, whose silhouettes aren't known, and that may hide light from a moving one."""
+    still = [s for s in rendering.seen if not s.silhouette_discontinuity_types() and s not in rendering.moving]
+    for shape in still:
+        # An infinite plane has no edge.
+        if name_of(type(shape)) == "plane":
+            continue
+        if rendering.camera is not None:
+            yield f"'{shape.id()}' ({name_of(type(shape))}) may be seen by the camera, which moves"
+        # A convex room has none that is seen from within.
+        if all(encloses(shape, moving) for moving in rendering.moving):
+            continue
+        for light in hidden_by(shape, rendering):
+            yield f"'{shape.id()}' ({name_of(type(shape))}) may hide {light} from a shape that moves"
 
 
-def hidden_lights(rendering: Rendering) -> Iterator[str]:
-    """An integrator that hides emitters of the scene."""
-    if rendering.integrator.hide_emitters:
-        for flags in (EmitterFlags.Surface, EmitterFlags.Infinite):
-            for emitter in rendering.emitters(flags):
-                yield f"'hide_emitters' hides {named(emitter)}"
+def hidden_by(shape: Any, rendering: Rendering) -> Iterator[str]:
+    """The lights that a shape may hide from those that move."""
+    integrator, emitters = rendering.integrator, rendering.scene.emitters()
+    direct = direct_light_only(integrator)
+    for emitter in emitters:
+        if emitter.is_environment():
+            yield named(emitter)
+        elif emitter.from_infinity:
+            forward: Any = emitter.forward  # type: ignore[attr-defined]
+            toward = DISTANT * -np.array(dr.detach(forward), np.float64).ravel()
+            if any(between(shape, m.world_box(), shifted(m.world_box(), toward)) for m in rendering.moving):
+                yield named(emitter)
+        else:
+            box = (emitter if emitter.get_shape() is None else emitter.get_shape()).bbox()
+            place = np.array(box.min, np.float64).ravel(), np.array(box.max, np.float64).ravel()
+            if emitter.get_shape() is not shape and any(
+                between(shape, m.world_box(), place) for m in rendering.moving if m is not emitter.get_shape()
+            ):
+                yield named(emitter)
+    if not direct:
+        yield "light of other surfaces"
+
+
+def shifted(box: tuple[Any, Any], by: Any) -> tuple[Any, Any]:
+    """A box elsewhere."""
+    return box[0] + by, box[1] + by
 
 
 def without_silhouettes(rendering: Rendering) -> Iterator[str]:
@@ -165,39 +231,21 @@ def without_silhouettes(rendering: Rendering) -> Iterator[str]:
 CASES: tuple[Case, ...] = (
     Case(
         "an integrator without silhouettes",
-        "what appears and disappears at the outlines of the shape is left out",
+        "what appears and disappears at the outlines of shapes is left out",
         "render with 'direct_projective' or 'prb_projective'",
         without_silhouettes,
     ),
     Case(
-        "`hide_emitters`",
-        "the outlines of lamps count although they can't be seen",
-        "show the emitters, or move lamps out of the picture",
-        hidden_lights,
+        "smooth mirrors, glass and plastic, unless one convex shape is all",
+        "the outlines of what is seen in them or through them aren't followed",
+        "use a rough material",
+        reflections,
     ),
     Case(
-        "smooth plastic",
-        "the reflection in its coat doesn't move",
-        "use a 'roughplastic'",
-        of_lobes(BSDFFlags.DeltaReflection, BSDFFlags.DiffuseReflection),
-    ),
-    Case(
-        "smooth mirrors and smooth glass",
-        "what is seen in them or through them doesn't move",
-        "use a 'roughconductor'",
-        of_lobes(BSDFFlags.DeltaReflection | BSDFFlags.DeltaTransmission),
-    ),
-    Case(
-        "rough glass",
-        "the direction in which light meets it is taken for fixed",
+        "`mask`, `null` and other surfaces that light passes straight through, unless one ball or plane shape is all",
+        "the outlines of what is seen through them aren't followed",
         "use an opaque material",
-        of_lobes(BSDFFlags.GlossyTransmission),
-    ),
-    Case(
-        "`mask`, `null` and other surfaces that light passes straight through",
-        "of the layers behind each other only one has an outline",
-        "use an opaque material",
-        of_lobes(BSDFFlags.Null),
+        layers,
     ),
     Case(
         "a normal map or a bump map on a shape that moves",
@@ -206,36 +254,43 @@ CASES: tuple[Case, ...] = (
         bent_normals,
     ),
     Case(
-        "a textured area light that moves",
-        "the texture stays behind where light is sampled",
-        "give the light a radiance that doesn't vary",
-        textured_lights,
+        "a `checkerboard`, or a bitmap with the filter `nearest`, on a shape that moves",
+        "the edges between its colours aren't followed",
+        "use a bitmap with the filter 'bilinear'",
+        jumping_textures,
     ),
     Case(
-        "a `point`, `spot`, `directional`, `projector` or `directionalarea` light, unless one convex shape is all",
-        "the edges of its shadows aren't followed",
-        "use a small area light",
-        sharp_shadows,
+        "a `projector` or `directionalarea` light",
+        "the sides of its beam aren't followed",
+        "use a 'spot' light with a texture, or a small area light",
+        bounded_beams,
     ),
     Case(
-        "a shape that a moving one cuts or touches",
-        "the curve in which they meet isn't followed",
-        "leave a gap between them",
+        "a moving shape that cuts or touches another one, if one of them shines or paths have more than two edges",
+        "the curve in which they meet is followed only where the camera sees it",
+        "leave a gap between them, or set 'max_depth' to 2",
         intersections,
         needs_numbers=True,
     ),
     Case(
-        "a shape that stays between a moving one and an area light",
-        "the shadow that it throws on the moving shape isn't followed",
-        "move the other shape out of the way",
-        shadows_on_moving,
+        "a mesh without vertex normals that moves, if paths have more than two edges",
+        "the edges between its facets are followed only where the camera sees them",
+        "give it vertex normals, or set 'max_depth' to 2",
+        creases,
+        needs_numbers=True,
+    ),
+    Case(
+        "a cube, an instance or another shape without known silhouettes, if it may hide light from a moving one",
+        "its outlines and the edges of its shadows aren't followed",
+        "use a mesh",
+        unknown_outlines,
         needs_numbers=True,
     ),
 )
-"""The cases of moving shapes, those that are found fastest first."""
+"""The cases of shapes and cameras that move, those that are found fastest first."""
 
 
-def require_proven(scene: Scene, integrator: Integrator) -> None:
+def require_proven(scene: Scene, integrator: Integrator, sensor: Sensor | None = None) -> None:
     """Refuse derivatives that are known to be wrong, unless `integrator.unproven_gradients` is true.
 
     Called where derivatives of an image are asked for, with the scene whose parameters have gradients.
@@ -253,10 +308,10 @@ def require_proven(scene: Scene, integrator: Integrator) -> None:
                 f"'{emitter.id()}' has a sun, and the change of its light with the angle to surfaces is left out",
                 "set 'sun_scale' to 0, for the sky alone",
             )
-    rendering = Rendering.of(scene, integrator)
-    if not rendering.moving:
+    rendering = Rendering.of(scene, integrator, sensor)
+    if not rendering.moving and rendering.camera is None:
         return
-    what = f"'{rendering.moving[0].id()}' moves with parameters that have gradients"
+    what = f"'{(rendering.camera or rendering.moving[0]).id()}' moves with parameters that have gradients"
     for case in CASES:
         if case.needs_numbers and recording():
             continue

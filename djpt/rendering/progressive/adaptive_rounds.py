@@ -75,7 +75,7 @@ class AdaptiveRounds:
             able = (name for name, kind in kinds if "flat" in getattr(kind, "schedules", ()))
             name = name_of(type(integrator)) or type(integrator).__name__
             raise RenderError(f"the integrator '{name}' can't render adaptively{near_miss('', able)}")
-        require_still(scene)
+        require_still(scene, settings.sensor)
         begin_trace()
         job = self._job()
         check_memory(job)

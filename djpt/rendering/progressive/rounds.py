@@ -114,7 +114,7 @@ class Rounds:
         settings = self._of_round(seed, spp, watched)
         if type(settings.integrator).render is not Integrator.render:
             return waiting_for_image(image_by_itself(scene, None, settings), spp)
-        require_still(scene)
+        require_still(scene, settings.sensor)
         job = make_job(scene, settings)
         how = choose(settings.schedule, job)
         check_memory(job)

@@ -132,7 +132,7 @@ def parts_of_image(scene: Scene, settings: RenderSettings, streamed: bool) -> It
     if type(settings.integrator).render is not Integrator.render:
         yield image_by_itself(scene, None, settings).numpy()
         return
-    require_still(scene)
+    require_still(scene, settings.sensor)
     job = make_job(scene, settings)
     how = choose(settings.schedule, job)
     check_memory(job, in_bands=how.in_bands and streamed)

@@ -105,7 +105,7 @@ class MeshSilhouette(Silhouette):
     # ---- the space of segments ------------------------------------------------------------
 
     def sample(self, sample: Point3f, flags: int, active: Bool | bool) -> SilhouetteSample3f:
-        if not flags & PERIMETER or not self.shape.parameters_grad_enabled():
+        if not flags & PERIMETER:
             return SilhouetteSample3f()
         edge, along, chance = self.edges.choose(sample.x, active)
         active = (chance > 0) & active
@@ -149,8 +149,6 @@ class MeshSilhouette(Silhouette):
         )
 
     def invert(self, ss: SilhouetteSample3f, active: Bool | bool) -> Point3f:
-        if not self.shape.parameters_grad_enabled():
-            return Point3f(0)
         active = (ss.discontinuity_type == PERIMETER) & active
         edge = 3 * ss.prim_index + ss.projection_index
         # Of the two numbers of an edge the smaller one is sampled.
@@ -176,7 +174,7 @@ class MeshSilhouette(Silhouette):
         With `HeuristicWalk` any edge may be chosen, by the angle in which it is seen, and `prim_index` is the triangle
         beyond it.
         """
-        if not flags & PERIMETER or not self.shape.parameters_grad_enabled():
+        if not flags & PERIMETER:
             return SilhouetteSample3f()
         mesh = self.shape
         prim = si.prim_index

@@ -71,11 +71,13 @@ class SilhouetteQuestions(Plugin):
             flags: `DiscontinuityFlags` of the kinds; for meshes also of the directions.
             active: the lanes that look up vertices.
         """
+        if self.is_silent:
+            return self._own(no_silhouette())
         return self._own(self.silhouette().sample(sample, int(flags), active))
 
     def invert_silhouette_sample(self, ss: SilhouetteSample3f, active: Bool | bool = True) -> Point3f:
         """The point that `sample_silhouette` takes to a segment."""
-        return self.silhouette().invert(ss, active)
+        return Point3f(0) if self.is_silent else self.silhouette().invert(ss, active)
 
     @converting
     def primitive_silhouette_projection(
@@ -85,6 +87,8 @@ class SilhouetteQuestions(Plugin):
 
         `sample` chooses a point of an edge. Density and foreshortening aren't computed.
         """
+        if self.is_silent:
+            return self._own(no_silhouette())
         return self._own(self.silhouette().project(viewpoint, si, int(flags), sample, active))
 
     @converting
@@ -113,6 +117,11 @@ class SilhouetteQuestions(Plugin):
         attached: Any = dr.replace_grad(si.p, moved)  # type: ignore[func-returns-value]
         return Point3f(attached)
 
+    @property
+    def is_silent(self) -> bool:
+        """Whether it has no silhouettes for scripts, as in Mitsuba a mesh that stays."""
+        return self.of_triangles and not self.parameters_grad_enabled()  # type: ignore[attr-defined]
+
     # ---- parameters with gradients --------------------------------------------------------
 
     @property
@@ -136,3 +145,10 @@ class SilhouetteQuestions(Plugin):
     def attached_names(self) -> list[str]:
         """The attributes of the shape that have gradients: those that place it, and what it is asked for at hits."""
         return [motion_name(self)] if self.parameters_grad_enabled() else []
+
+
+def no_silhouette() -> SilhouetteSample3f:
+    """An empty sample."""
+    from djpt.shapes.silhouettes.samples import SilhouetteSample3f  # rendering needs no silhouettes
+
+    return SilhouetteSample3f()

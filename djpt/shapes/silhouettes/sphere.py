@@ -8,13 +8,21 @@ from typing import Any
 import drjit as dr
 
 from djpt.core.frame import coordinate_system
+from djpt.core.records import BSDFFlags
 from djpt.core.records import SurfaceInteraction3f
-from djpt.core.warp import interval_to_tangent_direction, tangent_direction_to_interval, turns, uniform_sphere_to_square
+from djpt.core.records import has_flag
+from djpt.core.warp import interval_to_tangent_direction
+from djpt.core.warp import tangent_direction_to_interval
+from djpt.core.warp import turns
+from djpt.core.warp import uniform_sphere_to_square
 from djpt.jit.types import Bool, Float, Normal3f, Point2f, Point3f, UInt32
 from djpt.shapes.silhouettes.base import INTERIOR, Placement, Silhouette, SurfacePoint
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
 __all__ = ["SphereSilhouette"]
+
+TURN = 3e-3
+"""The angle between a silhouette and where a surface that light passes through is looked at."""
 
 
 class SphereSilhouette(Silhouette):
@@ -98,7 +106,13 @@ class SphereSilhouette(Silhouette):
         return SurfacePoint(n, n, Point2f(turn, dr.safe_acos(local.z * dr.rsqrt(dr.squared_norm(local))) / math.pi))
 
     def foreground(self, ss: SilhouetteSample3f, active: Bool | bool) -> tuple[Point3f, Normal3f]:
-        return ss.p, self.surface(self.place(), ss.p, ss.prim_index, active).n
+        shape = self.shape
+        if not has_flag(shape.bsdf().flags(), BSDFFlags.Null):
+            return ss.p, self.surface(self.place(), ss.p, ss.prim_index, active).n
+        # Turned to the viewer, so that a ray which passes straight on meets the far side, too.
+        n = dr.normalize(ss.p - shape.center - ss.d * (TURN * shape.radius))
+        p = dr.fma(n, shape.radius, shape.center)
+        return p, self.surface(self.place(), p, ss.prim_index, active).n
 
     def local(self, uv: Point2f) -> Point3f:
         sin_phi, cos_phi = dr.sincos(2 * math.pi * uv.x)

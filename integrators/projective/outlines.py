@@ -1,0 +1,61 @@
+"""The silhouettes of shapes as they are seen from one point: curves, sampled by length."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import drjit as dr
+
+from djpt.core.records import SurfaceInteraction3f
+from djpt.distributions.distributions_1d import DiscreteDistribution
+from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32
+from djpt.shapes.silhouettes.samples import SilhouetteSample3f
+
+__all__ = ["Outlines"]
+
+
+class Outlines:
+    """The outlines of some shapes.
+
+    Args:
+        shapes: the shapes, each of which has silhouettes; `SilhouetteSample3f.scene_index` counts them.
+        viewpoint: the point that they are seen from.
+    """
+
+    def __init__(self, shapes: Sequence[Any], viewpoint: Any) -> None:
+        self._shapes, self._viewpoint = shapes, viewpoint
+        parts = [shape.precompute_silhouette(viewpoint) for shape in shapes]
+        self._parts = [indices for indices, _ in parts]
+        self._within = [DiscreteDistribution(weights if dr.width(weights) else Float(0)) for _, weights in parts]
+        seen = [float(dr.width(weights) > 0) for _, weights in parts]
+        weights = [s * shape.silhouette_sampling_weight() for s, shape in zip(seen, shapes, strict=True)]
+        self._among = DiscreteDistribution(Float(weights)) if any(weights) else None
+
+    def sample(self, sample: Point2f, active: Bool | bool = True) -> SilhouetteSample3f:
+        """A point of the outlines, with the direction from the viewpoint to it; `pdf` is per unit length."""
+        result = SilhouetteSample3f()
+        if self._among is None:
+            return result
+        number, u, chance = self._among.sample_reuse_pmf(sample.x, active)
+        for k, shape in enumerate(self._shapes):
+            if not dr.width(self._parts[k]):
+                continue
+            mine = active & (number == k)
+            place, part_chance = self._within[k].sample_pmf(u, mine)
+            part = dr.gather(UInt32, self._parts[k], place, mine)
+            valid = mine & (part_chance > 0) & (chance > 0)
+            ss = shape.sample_precomputed_silhouette(self._viewpoint, part, sample.y, valid)
+            ss.pdf, ss.scene_index = ss.pdf * part_chance * chance, UInt32(k)
+            result = dr.select(valid, ss, result)
+        return result
+
+    def follow(self, ss: SilhouetteSample3f, active: Bool | bool = True) -> Point3f:
+        """The points of samples, attached to the parameters of the shapes, which they stick to."""
+        si = dr.zeros(SurfaceInteraction3f)
+        si.p, si.prim_index, si.uv = dr.detach(ss.p), ss.prim_index, ss.uv
+        moved = Point3f(si.p)
+        for k, shape in enumerate(self._shapes):
+            mine = active & (ss.scene_index == k)
+            moved = dr.select(mine, shape.differential_motion(si, mine), moved)
+        return moved

@@ -1,0 +1,103 @@
+"""The points that see silhouettes: surfaces on which shadows fall, and which may move themselves."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+
+from djpt.core.records import EmitterFlags, Ray3f, has_flag
+from djpt.jit.types import Bool, Float, Point2f, UInt32
+from djpt.scene.intersecting_shapes import between
+from djpt.shapes.silhouettes.samples import SilhouetteSample3f
+
+__all__ = ["Receiver", "followed"]
+
+
+class Receiver:
+    """The points x that see silhouettes at y, whose normal is n: hits of the sensor's rays, or of the next vertex's.
+
+    Args:
+        integrator: the integrator, which may hide emitters from the sensor.
+        scene: the scene.
+        sensor: the sensor.
+        ss: the silhouettes.
+        place: the places on the film, in pixels.
+        edges: the edges between the sensor and the silhouettes.
+        viewer: the rays from the next vertex, where there are more than two edges; None: those points stay.
+        active: the lanes that matter.
+    """
+
+    def __init__(
+        self,
+        integrator: Any,
+        scene: Any,
+        sensor: Any,
+        ss: SilhouetteSample3f,
+        place: Point2f,
+        edges: UInt32,
+        viewer: Ray3f | None,
+        active: Bool | bool,
+    ) -> None:
+        window = Point2f(sensor.film().crop_size())
+        self._by_sensor = by_sensor = edges == 2
+        self._sensor_moves = bool(sensor.attached_names())
+        shown = sensor.sample_ray_differential(0, 0, dr.detach(place) / window, Point2f(0))[0]
+        o, d, seen = shown.o, shown.d, Bool(active) & by_sensor
+        if viewer is not None:
+            o, d, seen = dr.select(by_sensor, o, viewer.o), dr.select(by_sensor, d, viewer.d), Bool(active)
+        self._si = integrator.first_hit(scene, Ray3f(o, d), seen, by_sensor)
+        self._scene, self._ss, self._seen = scene, ss, seen & self._si.is_valid()
+
+    def speed_at_edge(self, behind: Float) -> Float:
+        """The speed along n at y of lines from x to fixed points, which are `behind` y at a distance: 0, attached.
+
+        With s the fraction of the way from x to such a point that y lies at, it is (1 - s) <x', n>.
+        """
+        p = dr.detach(self._si.p)
+        share = dr.select(dr.isfinite(behind), behind / (behind + dr.norm(p - dr.detach(self._ss.p))), 1)
+        return dr.select(self._seen, dr.dot(self._si.p - p, dr.detach(self._ss.n)) * share, 0)
+
+    def moves(self) -> Bool:
+        """Whether x lies on a shape that moves."""
+        found = self._by_sensor & self._sensor_moves
+        for shape in self._scene.shapes():
+            if shape.parameters_grad_enabled():
+                found = found | (self._si.shape == shape)
+        return found & self._seen
+
+
+def outlined(scene: Any, sensor: Any) -> list[Any]:
+    """The shapes whose outlines move on the film: those that move, or, if the sensor does, all."""
+    found: list[Any] = scene.silhouettes.outlined() if sensor.attached_names() else scene.silhouette_shapes()
+    return found
+
+
+def followed(scene: Any, sensor: Any, max_depth: int, direct: bool) -> list[Any]:
+    """The shapes whose silhouettes matter to other surfaces as some shapes move, or the sensor.
+
+    These are the shapes that move, and those that may hide light from them: what stands in front of a lamp, or, if
+    light arrives from all sides, everything. If the sensor moves, its rays hit surfaces elsewhere, in shadows or not.
+
+    Args:
+        scene: the scene.
+        sensor: the sensor.
+        max_depth: the edges of the longest path.
+        direct: whether surfaces are lit by emitters alone.
+    """
+    moving = scene.silhouette_shapes()
+    still = [shape for shape in scene.silhouettes.outlined() if shape not in moving]
+    emitters = scene.emitters()
+    from_all_sides = (
+        bool(sensor.attached_names()) or any(e.is_environment() for e in emitters) or not (direct or max_depth <= 2)
+    )
+    if from_all_sides:
+        return [*moving, *still]
+    lamps = [e.get_shape() for e in emitters if has_flag(e.flags(), EmitterFlags.Surface) and e.get_shape() is not None]
+    return [*moving, *(shape for shape in still if may_shadow(shape, moving, lamps))]
+
+
+def may_shadow(shape: Any, moving: list[Any], lamps: list[Any]) -> bool:
+    """Whether a shape may hide a lamp from one that moves."""
+    pairs = ((m, lamp) for m in moving for lamp in lamps if lamp is not m and lamp is not shape)
+    return any(between(shape, m.world_box(), lamp.world_box()) for m, lamp in pairs)

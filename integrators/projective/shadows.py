@@ -1,0 +1,69 @@
+"""The boundary term of shadows in the light of points, and of parallel light: see `docs/theory/moving-geometry.md`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+
+from djpt.core.records import SHADOW_EPSILON, EmitterFlags, Interaction3f, has_flag
+from djpt.integrators.projective.detail import FAR
+from djpt.integrators.projective.outlines import Outlines
+from djpt.integrators.projective.receivers import Receiver
+from djpt.jit.types import Color3f, Point2f, Point3f
+
+__all__ = ["ShadowEdges", "delta_lights"]
+
+
+def delta_lights(scene: Any) -> list[Any]:
+    """The lights of a scene that arrive from one direction at each point."""
+    return [e for e in scene.emitters() if has_flag(e.flags(), EmitterFlags.Delta) and not e.on_shape]
+
+
+class ShadowEdges:
+    """The edges of the shadows that shapes throw in one such light.
+
+    Of the directions in which a silhouette is looked at one is left, that of the light. With y on the outline, n its
+    normal, t its tangent, d the direction to the light, which arrives at y with the irradiance E, x the point in shadow
+    behind, from which the importance W arrives, and s the fraction of the way from x to the light that y lies at,
+
+        dI = -W E <y' - (1 - s) x', n> |t x d| dl,    s = 0 in parallel light.
+    """
+
+    def __init__(self, scene: Any, light: Any) -> None:
+        """Look at the shapes that move from the place of the light."""
+        self._scene, self._light = scene, light
+        self._outlines = Outlines(scene.silhouettes.outlined(), seen_from(scene, light))
+
+    def estimate(self, integrator: Any, sensor: Any, sampler: Any) -> tuple[Color3f, Point2f]:
+        """The derivative of the image by random points of the outlines, attached, and their places on the film."""
+        scene = self._scene
+        with dr.suspend_grad():
+            ss = self._outlines.sample(sampler.next_2d())
+            active = ss.is_valid() & (ss.pdf > 0)
+            it = dr.zeros(Interaction3f)
+            it.p = ss.p
+            ds, arriving = self._light.sample_direction(it, Point2f(0), active)
+            ss.d = ds.d
+            ray = ss.spawn_ray()
+            ray.maxt = ds.dist * (1 - SHADOW_EPSILON)
+            active = active & dr.any(arriving != 0) & ~scene.ray_test(ray, active)
+            importance, place, edges, reached, viewer = integrator.sample_viewer(
+                scene, sensor, ss, integrator.max_depth, sampler, active
+            )
+            active = active & reached
+            across = dr.norm(dr.cross(ss.d, ss.silhouette_d))
+            weight = dr.select(active, importance * arriving * (across * dr.rcp(ss.pdf)), 0)
+        receiver = Receiver(integrator, scene, sensor, ss, place, edges, viewer, active)
+        speed = dr.dot(self._outlines.follow(ss, active) - ss.p, ss.n)
+        return Color3f(weight) * dr.select(active, receiver.speed_at_edge(ds.dist) - speed, 0), place
+
+
+def seen_from(scene: Any, light: Any) -> Point3f:
+    """The place of a light; of one at infinity a point far away."""
+    center, radius = scene.bounding_sphere()
+    it = dr.zeros(Interaction3f)
+    it.p = Point3f(*(float(c) for c in center))
+    ds, _ = light.sample_direction(it, Point2f(0))
+    infinite = has_flag(light.flags(), EmitterFlags.Infinite)
+    return Point3f(it.p + ds.d * (FAR * float(radius))) if infinite else Point3f(ds.p)
