@@ -15,9 +15,7 @@ from djpt.images.sheets import DARK, Tile, captioned_sheet, enlarged
 from djpt.rendering.progress import Progress, watched
 from djpt.rendering.settings import check_count, check_seed
 from djpt.scenes.overrides import described, override, reduced
-from djpt.validation.gradcheck.losses import Loss
-from djpt.validation.gradcheck.losses import MitsubaLoss
-from djpt.validation.gradcheck.losses import loss_of
+from djpt.validation.gradcheck.losses import Loss, MitsubaLoss, loss_of
 from djpt.validation.metrics import ComparisonError
 from djpt.validation.report import Bytes, Pictured, difference_picture
 from djpt.validation.statistics import sidak

@@ -14,8 +14,7 @@ from djpt.rendering.gradients.derivatives import attached_image
 from djpt.rendering.gradients.leaves import Parameter, attached_parameters, motion_parameters
 from djpt.rendering.gradients.unproven import require_proven
 from djpt.rendering.settings import RenderSettings
-from djpt.scene.arguments import find_sensor
-from djpt.scene.scene import Scene
+from djpt.scene.scene import Scene, find_sensor
 from djpt.shapes.silhouettes.moving import exchanged
 from djpt.shapes.silhouettes.normals import with_normals
 

@@ -8,13 +8,8 @@ from typing import Any
 import drjit as dr
 
 from djpt.core.frame import coordinate_system
-from djpt.core.records import BSDFFlags
-from djpt.core.records import SurfaceInteraction3f
-from djpt.core.records import has_flag
-from djpt.core.warp import interval_to_tangent_direction
-from djpt.core.warp import tangent_direction_to_interval
-from djpt.core.warp import turns
-from djpt.core.warp import uniform_sphere_to_square
+from djpt.core.records import BSDFFlags, SurfaceInteraction3f, has_flag
+from djpt.core.warp import interval_to_tangent_direction, tangent_direction_to_interval, turns, uniform_sphere_to_square
 from djpt.jit.types import Bool, Float, Normal3f, Point2f, Point3f, UInt32
 from djpt.shapes.silhouettes.base import INTERIOR, Placement, Silhouette, SurfacePoint
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
