@@ -101,6 +101,7 @@ def null_transmittance(
         # Leaves that are made in a loop can't be used behind it.
         plain, attached = scene.replace(lookup=scene.lookup.plain()), scene.media.are_attached()
         media = MeasuredMedia(scene.geometry, are_null(scene), scene.media.plugins)
+        passed: PassedMedia | None
         if media.are_measured:
             left, passed = measured(plain, media, sampler, dr.detach(ray), dr.detach(lit))
         else:

@@ -232,7 +232,8 @@ def functions(features: Features, search: str, measures: bool = False) -> Functi
     """
     measures &= search == "rings" and not features.instances
     lengths = Code.at(address_of_lengths(features)) if measures else None
-    return Functions(*(Code.at(address) for address in addresses(features, search)), lengths)
+    closest, any_hit = addresses(features, search)
+    return Functions(Code.at(closest), Code.at(any_hit), lengths)
 
 
 @cache
