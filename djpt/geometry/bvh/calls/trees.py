@@ -355,6 +355,7 @@ class CompiledTrees:
         if first_triangle[-1] > REFERENCE:
             raise SceneError(f"the scene has too many triangles: {first_triangle[-1]} rows of 32 bytes for its trees")
         rows = aligned((int(first_triangle[-1]), ROW_WORDS))
+        measures = any(tree.part.ways is not None for tree in trees)
         for k, tree in enumerate(trees):
             own = rows[starts[k] : starts[k + 1]]
             own.ravel()[:] = tree.built.memory
@@ -367,6 +368,7 @@ class CompiledTrees:
             tree.corners = tree.corners[:0]
             if part.ways is not None:
                 records[:, 0] = part.ways[tree.built.order]
+                part.ways = None
         extent = trees[0].built.extent
         if placed is not None:
             table = rows[starts[-1] : first_triangle[0]].reshape(count, PLACED_ROWS * ROW_WORDS)
@@ -377,7 +379,7 @@ class CompiledTrees:
             functions(
                 Features(len(trees) > 1, kinds, lights, one_sided),
                 self._search,
-                any(tree.part.ways is not None for tree in trees),
+                measures,
             ),
             as_vector(extent.center.astype(np.float64)),
             as_float(0.50001 * extent.diagonal),
