@@ -2,20 +2,23 @@
 
     python benchmarks/media.py [--quick] [--pairs N] [--json FILE]
 
-The Cornell box in fog and in coloured fog, and with a dense cloud of smoke on grids of 64^3 and 256^3 points. As in
-`versus_mitsuba.py` the renderers take turns. Exit code 1: a required number was missed.
+The Cornell box in fog and in coloured fog, with bodies of fog in meshes, and with a dense cloud of smoke on grids of
+64^3 and 256^3 points. As in `versus_mitsuba.py` the renderers take turns. Exit code 1: a required number was missed.
 """
 
 from __future__ import annotations
 
 import djpt  # isort: skip (first: it finds the LLVM library that Dr.Jit opens)
 import sys
+import tempfile
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import mitsuba as mi
 import numpy as np
-from media_scenes import cloud, fog, smoke
+from media_scenes import cloud, fog, fog_in_meshes, smoke
+from mesh_scenes import write_bumpy_sphere
 from pairs import Row, in_pairs, report
 
 EVEN = 0.01
@@ -79,6 +82,9 @@ def all_rows(pairs: int, quick: bool) -> Iterator[Row]:
     yield equal_error_row("coloured fog, at equal error", lambda m: fog(m, True, "volpath", size), spp, pairs, 8)
     name = "coloured fog by volpathmis, at equal error"
     yield equal_error_row(name, lambda m: fog(m, True, "volpathmis", size), spp, pairs, None)
+    with tempfile.TemporaryDirectory() as folder:
+        file = write_bumpy_sphere(Path(folder), 5000)
+        yield row("bodies of fog in meshes", lambda m: fog_in_meshes(m, file, size), spp, pairs, 1.4, 2)
     yield from smoke_rows(pairs, quick)
 
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["cloud", "fog", "smoke"]
+__all__ = ["cloud", "fog", "fog_in_meshes", "smoke"]
 
 NULL = {"type": "null"}
 OCTAVES = 4
@@ -32,6 +33,20 @@ def fog(module: Any, coloured: bool, integrator: str, size: int) -> dict[str, An
         "bsdf": NULL,
         "interior": {"type": "homogeneous", "albedo": 0.9, "sigma_t": sigma_t, "phase": {"type": "hg", "g": 0.5}},
     }
+    return scene
+
+
+def fog_in_meshes(module: Any, file: Path, size: int) -> dict[str, Any]:
+    """Bodies of fog whose boundaries are meshes, one of them within another."""
+    scene = room(module, "volpath", 16, size)
+    for i, (x, radius, sigma_t) in enumerate(((-0.4, 0.4, 2.0), (-0.4, 0.2, 5.0), (0.45, 0.35, 3.0))):
+        scene[f"fog-{i}"] = {
+            "type": "ply",
+            "filename": str(file),
+            "to_world": module.ScalarTransform4f().translate([x, 0.2, 0.3]).scale(radius),
+            "bsdf": NULL,
+            "interior": {"type": "homogeneous", "albedo": 0.9, "sigma_t": sigma_t},
+        }
     return scene
 
 

@@ -54,6 +54,9 @@ class BSDF(Plugin):
     absorbs: bool = False
     """True if light is attenuated within the body that the surface encloses: see `transmittance`."""
 
+    invisible: ClassVar[bool] = False
+    """True if all light passes straight through. Counts for the class that says so, not for those derived from it."""
+
     symmetric: ClassVar[bool] = False
     """True if f(wi, wo) = f(wo, wi), indices of refraction aside: see `is_symmetric`. Counts for the class that says
     so, not for those derived from it."""

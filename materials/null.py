@@ -17,6 +17,7 @@ class Null(DeltaBSDF):
     """
 
     in_any_frame = True
+    invisible = True
     symmetric = True
 
     def components(self) -> tuple[int, ...]:

@@ -19,7 +19,14 @@ from djpt.core.frame import Frame3f
 from djpt.core.lookup import Numbers, is_one_of
 from djpt.core.records import RAY_EPSILON, PreliminaryIntersection3f, Ray3f
 from djpt.dispatch.ensemble import Ensemble, Lookup
-from djpt.geometry.query import ANALYTIC, FACE, NONE, Cursor, Near, Query, recentre
+from djpt.geometry.bvh.calls.layout import MEDIA
+from djpt.geometry.query import ANALYTIC
+from djpt.geometry.query import Cursor
+from djpt.geometry.query import FACE
+from djpt.geometry.query import NONE
+from djpt.geometry.query import Near
+from djpt.geometry.query import Query
+from djpt.geometry.query import recentre
 from djpt.geometry.unrolled import Unrolled
 from djpt.jit.kernels import as_vector
 from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
@@ -32,7 +39,7 @@ if TYPE_CHECKING:
     from djpt.geometry.triangles import Triangles
     from djpt.shapes.mesh import Mesh
 
-__all__ = ["NO_INSTANCE", "Contents", "FaceNumbers", "Geometry", "NullSurfaces", "unseen"]
+__all__ = ["NO_INSTANCE", "Contents", "FaceNumbers", "Geometry", "MeasuredMedia", "NullSurfaces", "unseen"]
 
 
 class Geometry:
@@ -485,3 +492,41 @@ class NullSurfaces:
         """The first hit of a passable shape with 0 < t < maxt."""
         t, face = self._geometry.unrolled.closest(ray, among=self._null)
         return PreliminaryIntersection3f.found(t, face, self._geometry.shape_of(face))
+
+
+class MeasuredMedia:
+    """The media of a scene, if one search tells how far a shadow ray runs through each of them.
+
+    That takes a tree whose search can do it, and passable shapes that are invisible meshes, all of them.
+    """
+
+    def __init__(self, geometry: Geometry, null: Sequence[bool], media: Sequence[Any]) -> None:
+        """`null` is that of `NullSurfaces`; `media` are those that rays may run through."""
+        self._geometry = geometry
+        self.are_measured = False
+        """Whether `passed` means something."""
+        triangles = geometry.triangles
+        if triangles is None or not triangles.can_measure or triangles.null_meshes.count != sum(null):
+            return
+        numbered = triangles.null_meshes.media
+        others = [medium for medium in media if not any(medium is other for other in numbered)]
+        every = [*numbered, *others]
+        self.are_measured = len(every) == len(media) <= MEDIA and not any(medium.is_tracked for medium in every)
+        if self.are_measured:
+            place = {id(medium): number for number, medium in enumerate(every)}
+            self._order = [place[id(medium)] for medium in media]
+            # The vacuum has no matter, and the number after the last.
+            self._numbers = Numbers([*(1 + number for number in self._order), 0])
+
+    def passed(self, ray: Ray3f, active: Bool) -> tuple[Bool, list[Float]]:
+        """Whether something opaque is hit with 0 < t < maxt, and if not, the length through each of the media.
+
+        Args:
+            ray: A ray with a unit direction, and the number of a medium in which it begins.
+            active: Lanes that have a ray.
+        """
+        assert self._geometry.triangles is not None
+        hit = self._geometry.unrolled.any_hit(ray, active)
+        medium = UInt32(0) if ray.medium is None else self._numbers.at(ray.medium)
+        blocked, lengths = self._geometry.triangles.lengths(ray, active & ~hit, medium)
+        return hit | blocked, [lengths[number] for number in self._order]

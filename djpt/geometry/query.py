@@ -44,7 +44,7 @@ FACE = 0x7FFFFFFF
 class RayTree(Protocol):
     """Triangles, solids and instances in memory, and the search for what rays hit.
 
-    Each has a *record*, a number that isn't 0, and a *row* of eight words: unused, unit normal, label, face,
+    Each has a *record*, a number that isn't 0, and a *row* of eight words: way through, unit normal, label, face,
     direction of dp/du. Instances and solids have another row before: see `map_rows`. Labels are
     explained in `djpt.geometry.bvh.steps.records`. Coordinates are relative to `center`.
     """

@@ -14,12 +14,20 @@ from numpy.typing import NDArray
 from djpt.core.frame import Frame3f, coordinate_system
 from djpt.core.lookup import Numbers
 from djpt.core.records import Ray3f
+from djpt.geometry.bvh.calls.trees import CompiledTree
 from djpt.geometry.bvh.steps.records import LEAF, NUMBER, PORTAL, SOLID
 from djpt.geometry.bvh.steps.traversal import into_group
 from djpt.geometry.canonical import FLAT_KINDS, PIECE
 from djpt.geometry.canonical import surface as canonical_surface
 from djpt.geometry.curve_segments import CurveSegmentSet
-from djpt.geometry.query import DETAIL, LABEL, NONE, Found, Near, RayTree, enter
+from djpt.geometry.null_meshes import NullMeshes
+from djpt.geometry.query import DETAIL
+from djpt.geometry.query import Found
+from djpt.geometry.query import LABEL
+from djpt.geometry.query import NONE
+from djpt.geometry.query import Near
+from djpt.geometry.query import RayTree
+from djpt.geometry.query import enter
 from djpt.geometry.triangle import RayPlane, intersect_triangle
 from djpt.geometry.two_level_bvh import TwoLevelBVH
 from djpt.jit.kernels import float_in
@@ -92,6 +100,38 @@ class Triangles:
     def occluded(self, ray: Ray3f, active: Bool | bool) -> Bool:
         """Whether there is a hit with 0 < t < maxt."""
         return self.tree.search(ray, True, active).record != NONE
+
+    @property
+    def can_measure(self) -> bool:
+        """Whether `lengths` can tell how far rays run through media."""
+        return isinstance(self.tree, CompiledTree) and self.tree.functions.lengths is not None
+
+    def lengths(self, ray: Ray3f, active: Bool, medium: UInt32) -> tuple[Bool, list[Float]]:
+        """Whether something opaque is hit with 0 < t < maxt, and if not, the lengths of a ray through media.
+
+        These are the media of `null_meshes`, and others that no invisible mesh has on its sides.
+
+        Args:
+            ray: The ray, with a unit direction.
+            active: Lanes that have a ray.
+            medium: The number of the medium in which it begins, as in `djpt.geometry.null_meshes`.
+        """
+        assert isinstance(self.tree, CompiledTree)
+        origin, entry = self.enter(ray)
+        if entry is None:
+            return self.tree.lengths(origin, ray.d, ray.maxt, active, medium)
+        blocked, lengths = self.tree.lengths(origin, ray.d, ray.maxt - entry, active, medium)
+        return blocked, [dr.select(medium == k, length + entry, length) for k, length in enumerate(lengths, 1)]
+
+    @property
+    def null_meshes(self) -> NullMeshes:
+        """The invisible meshes."""
+        return self.two_level_bvh.null_meshes
+
+    def follow_bsdfs(self) -> None:
+        """Follow an edit of the meshes' BSDFs and media."""
+        if not self.two_level_bvh.is_current:
+            self._use(self.two_level_bvh.tree())
 
     # ---- what a record says --------------------------------------------------------------
 

@@ -14,6 +14,7 @@ from djpt.geometry.bvh.steps.records import EMITS, LEAF, ONE_SIDED, PORTAL, SOLI
 from djpt.geometry.canonical import KINDS, PIECE
 from djpt.geometry.curve_segments import CurveSegmentSet
 from djpt.geometry.engines import new_trees
+from djpt.geometry.null_meshes import NullMeshes
 from djpt.geometry.query import RayTree
 from djpt.shapes.base import Shape
 from djpt.shapes.curve_segments import CurveSegments
@@ -37,6 +38,8 @@ class TwoLevelBVH:
 
     pieces: CurveSegmentSet | None = None
     """The pieces of the world's shapes that consist of some; None if there are none."""
+    null_meshes: NullMeshes
+    """The invisible meshes of the world, as the tree knows them."""
 
     def __init__(
         self, meshes: MeshSet, parts: Sequence[int], solids: Sequence[Shape], placements: Sequence[Placement]
@@ -51,7 +54,9 @@ class TwoLevelBVH:
 
     def tree(self) -> RayTree:
         """The trees of the current geometry. Those that keep their quality are refitted, others are rebuilt."""
+        self.null_meshes = self._find_null_meshes()
         parts = self._mesh_parts()
+        parts[0].ways = self.null_meshes.ways()
         nothing = np.zeros((0, 6), np.float32)
         groups = [self._trees.fit(i, part, nothing) for i, part in enumerate(parts) if i > 0]
         in_pieces = [shape for shape in self._solids if shape.in_pieces]
@@ -64,6 +69,15 @@ class TwoLevelBVH:
         kinds = tuple(sorted({kind_of(shape) for shape in self._solids}))
         leaves = self._placed_leaves(groups, in_pieces, pieces) if len(placed) else None
         return self._trees.packed(leaves, kinds, self.emits, self._one_sided)
+
+    def _find_null_meshes(self) -> NullMeshes:
+        """The invisible meshes of the world; those of groups aren't among them."""
+        return NullMeshes(self._meshes.meshes[: self._parts[1]])
+
+    @property
+    def is_current(self) -> bool:
+        """Whether the tree knows which meshes of the world are invisible now, and the media on their sides."""
+        return self.null_meshes.key == self._find_null_meshes().key
 
     def _solid_boxes(self) -> NDArray[np.float64]:
         """The boxes of the solids that aren't in pieces."""

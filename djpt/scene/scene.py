@@ -225,6 +225,8 @@ class Scene(MitsubaScene):
     def _find_media(self) -> None:
         """Number the media of shapes and sensors."""
         shapes = self.geometry.contents.shapes
+        if self.geometry.triangles is not None:
+            self.geometry.triangles.follow_bsdfs()
         self.media = self.every_medium = Media(self.geometry, self.lookup, absorbing_sides(shapes))
         of_sensors = [sensor.get_medium() for sensor in self._sensors if sensor.get_medium() is not None]
         if of_sensors or any(shape.is_medium_transition() for shape in shapes):

@@ -9,6 +9,7 @@ import drjit as dr
 
 from djpt.core.records import SHADOW_EPSILON, BSDFFlags, PreliminaryIntersection3f, Ray3f, has_flag
 from djpt.core.records.interactions import MediumInteraction3f
+from djpt.geometry.aggregate import MeasuredMedia
 from djpt.geometry.aggregate import NullSurfaces
 from djpt.jit.kernels import wide
 from djpt.jit.types import Bool, Color3f, Float, Point3f, UInt32, Vector3f
@@ -99,14 +100,31 @@ def null_transmittance(
     # No loop can be differentiated here; the transmittance is computed again behind it.
     with dr.suspend_grad():
         # Leaves that are made in a loop can't be used behind it.
-        plain = scene.replace(lookup=scene.lookup.plain())
-        walk = ShadowWalk(plain, dr.detach(ray))
-        end = walk.end(sampler, dr.detach(lit), measured=scene.media.are_attached())
-    go_on_with(sampler, end.sampler)
-    left = dr.select(lit, end.left, 0)
-    if end.passed is not None:
-        left = reattached(scene, sampler, ray, left, end.passed)
+        plain, attached = scene.replace(lookup=scene.lookup.plain()), scene.media.are_attached()
+        media = MeasuredMedia(scene.geometry, are_null(scene), scene.media.plugins)
+        passed: PassedMedia | None
+        if media.are_measured:
+            left, passed = measured(plain, media, sampler, dr.detach(ray), dr.detach(lit))
+        else:
+            end = ShadowWalk(plain, dr.detach(ray)).end(sampler, dr.detach(lit), measured=attached)
+            go_on_with(sampler, end.sampler)
+            left, passed = end.left, end.passed
+        left = dr.select(lit, left, 0)
+    if attached and passed is not None:
+        left = reattached(scene, sampler, ray, left, passed)
     return weight * left
+
+
+def measured(
+    scene: Scene, media: MeasuredMedia, sampler: SampleStream, ray: Ray3f, lit: Bool
+) -> tuple[Color3f, PassedMedia]:
+    """The transmittance of a shadow ray by one search, and what it has passed."""
+    blocked, lengths = media.passed(aimed(ray, ray.o, ray.medium), lit)
+    left = dr.select(blocked, Color3f(0), 1)
+    for number, length in enumerate(lengths):
+        segment = aimed(ray, ray.o, UInt32(number))
+        left = left * left_over(scene, sampler, segment.replaced(maxt=length), lit)
+    return left, replace(begun(scene, ray), lengths=lengths)
 
 
 class ShadowWalk:
@@ -240,8 +258,13 @@ def reattached(scene: Scene, sampler: SampleStream, ray: Ray3f, left: Color3f, p
 
 def null_surfaces(scene: Scene) -> NullSurfaces:
     """Queries of a scene that tell its null surfaces from all others."""
+    return NullSurfaces(scene.geometry, are_null(scene))
+
+
+def are_null(scene: Scene) -> list[bool]:
+    """Whether light may pass straight through, for each shape of a scene."""
     null = [has_flag(bsdf.flags(), BSDFFlags.Null) for bsdf in scene.bsdfs.plugins]
-    return NullSurfaces(scene.geometry, [null[number] for number in scene.bsdfs.of_shape])
+    return [null[number] for number in scene.bsdfs.of_shape]
 
 
 @dataclass

@@ -67,6 +67,8 @@ class MeshPart:
     """The label of each mesh: see `djpt.geometry.bvh.steps.records`."""
     first_face: int
     """The set-wide number of the first triangle."""
+    ways: NDArray[np.uint32] | None = None
+    """The way through each triangle, (F,): see `djpt.geometry.bvh.calls.layout`. None: all are opaque."""
 
     @property
     def face_count(self) -> int:

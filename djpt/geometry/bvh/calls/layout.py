@@ -9,7 +9,7 @@ node            8     2 a: low planes of the eight children along axis a; 2 a + 
                       6: references to the children; 7: unused
 leaf            10    3 k + a: coordinate a of corner k of eight triangles; 9: their numbers
 placed          2     map into the primitive's space, 3 x 4 floats; label, detail, side, unused
-triangle        1     unused, unit normal, label, face, direction of dp/du
+triangle        1     way through, unit normal, label, face, direction of dp/du
 ==============  ====  ==========================================================================
 
 A reference is the row of a node; with LEAF, the row of a leaf; with PLACED, the number of a placed primitive
@@ -19,6 +19,9 @@ placed primitive is the row that holds its label; for labels and details see `dj
 A group of meshes that instances show has a block of its own, with a header, within the block of the scene. References
 in it count from its start, records from the start of the scene's.
 
+The *way through* a triangle is 0 if it is opaque. Else it has the bit PASSABLE, and if it bounds media the bit BOUNDS,
+the number of the medium inside in bits 8 .. 15, and that of the medium outside in bits 0 .. 7.
+
 Coordinates count from the middle of their tree.
 """
 
@@ -26,14 +29,18 @@ from __future__ import annotations
 
 __all__ = [
     "ANY_HIT",
+    "BOUNDS",
     "CHILDREN",
     "CHILD_ROW",
     "EXTENT_WORD",
     "HEADER_ROWS",
     "LEAF",
     "LEAF_ROWS",
+    "MEDIA",
+    "MEDIUM_BITS",
     "NODE_ROWS",
     "NUMBER_ROW",
+    "PASSABLE",
     "PASSES_LIGHTS",
     "PLACED",
     "REFERENCE",
@@ -61,3 +68,14 @@ ROOT = HEADER_ROWS
 
 PASSES_LIGHTS, ANY_HIT = 1, 2
 """Bits of a ray's flags: shapes that emit aren't hit; any hit ends the search, also one for the closest."""
+
+PASSABLE, BOUNDS = 0x80000000, 0x40000000
+"""Bits of the way through a triangle."""
+
+MEDIUM_BITS = 8
+"""The bits of a medium's number there; a search that measures media begins with the one above these bits of the flags.
+"""
+
+MEDIA = 4
+"""The most media that such a search tells apart, for a call has room for as many results. They count from 1; 0 is the
+vacuum."""

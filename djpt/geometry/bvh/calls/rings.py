@@ -54,7 +54,7 @@ from djpt.jit.llvm import arithmetic
 from djpt.jit.llvm.arithmetic import bit_count, lowest_bit, minimum, select
 from djpt.jit.llvm.ir import F32, I1, I8, I16, I32, I64, LINE, PTR, Function, Module, Type, Value, vector
 
-__all__ = ["ring_functions"]
+__all__ = ["RingSearch", "ring_functions"]
 
 WORDS, HALVES, MASK = vector(I32, CHILDREN), vector(I16, CHILDREN), vector(I1, CHILDREN)
 """Integers of 32 and 16 bits, and conditions, for each child of a node or triangle of a leaf."""
@@ -197,9 +197,14 @@ class RingSearch:
             self.directions = f.reserve(self.row, 3)
 
     def build(self) -> None:
-        """Let all rays begin at the root, and work until all rings are empty."""
-        f = self.f
+        """Let all rays begin at the root, and search."""
         self.begin()
+        self.search()
+        self.f.give()
+
+    def search(self) -> None:
+        """Work until all rings are empty."""
+        f = self.f
         boxes = self.test_boxes, (I64, I32) if self.any_hit else (I64, I32, WORDS)
         nearest = [] if self.any_hit else [(self.find_nearest, (I64, I32, WORDS, I32))]
         at_nodes = Pipeline(f, self.nodes, [boxes, *nearest, (self.descend, ())])
@@ -213,7 +218,6 @@ class RingSearch:
                 self.visit_all_placed()
                 waiting = self.nodes.count + self.leaves.count + self.placed.count
             turns.stop_if(waiting == 0)
-        f.give()
 
     def begin(self) -> None:
         """Compute the terms of all rays, and let active ones wait for the root."""

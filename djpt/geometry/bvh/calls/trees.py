@@ -18,13 +18,25 @@ from djpt.errors import SceneError
 from djpt.geometry.bvh.build.builder import Built, build, refit, workers
 from djpt.geometry.bvh.build.rows import corners_of, write_rows
 from djpt.geometry.bvh.build.wide import REBUILD
-from djpt.geometry.bvh.calls.layout import ANY_HIT, EXTENT_WORD, PASSES_LIGHTS, REFERENCE, ROW_WORDS
+from djpt.geometry.bvh.calls.crossings import LENGTHS_OF_PACKET
+from djpt.geometry.bvh.calls.crossings import crossing_function
+from djpt.geometry.bvh.calls.layout import ANY_HIT
+from djpt.geometry.bvh.calls.layout import EXTENT_WORD
+from djpt.geometry.bvh.calls.layout import MEDIUM_BITS
+from djpt.geometry.bvh.calls.layout import PASSES_LIGHTS
+from djpt.geometry.bvh.calls.layout import REFERENCE
+from djpt.geometry.bvh.calls.layout import ROW_WORDS
 from djpt.geometry.bvh.calls.ray import Features
 from djpt.geometry.bvh.calls.rings import ring_functions
 from djpt.geometry.bvh.calls.traversal import ANY_OF_PACKET, CLOSEST_OF_PACKET, packet_functions
 from djpt.geometry.bvh.leaves import Extent, MeshPart, PlacedLeaves
-from djpt.geometry.query import NONE, Found, enter
-from djpt.jit.kernels import aligned, as_float, as_vector
+from djpt.geometry.query import Found
+from djpt.geometry.query import NONE
+from djpt.geometry.query import enter
+from djpt.jit.kernels import aligned
+from djpt.jit.kernels import as_float
+from djpt.jit.kernels import as_vector
+from djpt.jit.kernels import float_in
 from djpt.jit.llvm.calls import Code, call, reason_against
 from djpt.jit.llvm.compiler import compiled
 from djpt.jit.llvm.lanes import instruction_set, lane_count, target
@@ -70,6 +82,21 @@ def call_any(code: Code, scene: UInt32, o: Point3f, d: Vector3f, maxt: Float, ac
     return Bool(call(code, scene, arguments(o, d, maxt, active, flags), [Bool(False)], any_hit=True)[0])
 
 
+def call_lengths(
+    code: Code, scene: UInt32, o: Point3f, d: Vector3f, maxt: Float, active: Bool, medium: UInt32
+) -> tuple[Bool, list[Float]]:
+    """Measure rays up to `maxt` through media: see `CompiledTree.lengths`."""
+    outputs: list[Any] = [Bool(False), Float(0), Float(0), Float(0), UInt32(0), UInt32(0)]
+    inputs = arguments(o, d, maxt, active, medium << MEDIUM_BITS)
+    found, first, second, third, fourth, blocked = call(code, scene, inputs, outputs)
+    # Rays that aren't followed, such as those with NaN, meet nothing.
+    lengths = [
+        dr.select(found, length, dr.select(medium == number, maxt, 0))
+        for number, length in enumerate((first, second, third, float_in(fourth)), 1)
+    ]
+    return Bool(found & (blocked != 0)), lengths
+
+
 def arguments(o: Point3f, d: Vector3f, maxt: Float, active: Bool, flags: UInt32) -> list[Float | UInt32 | Bool]:
     """The inputs of a call, in Embree's order."""
     # A negative end would mean "blocked" when it comes back.
@@ -90,6 +117,8 @@ class Functions:
 
     closest: Code
     any: Code
+    lengths: Code | None = None
+    """The one that measures media; None if no triangle is passable, or the search can't."""
 
 
 @dataclass
@@ -157,6 +186,21 @@ class CompiledTree:
             None if cursor.inside is None else dr.select(met.hit, met.inside, cursor.inside),
         )
 
+    def lengths(self, o: Point3f, d: Vector3f, maxt: Float, active: Bool, medium: UInt32) -> tuple[Bool, list[Float]]:
+        """Whether something opaque stands in a ray's way, and if not, how far it runs through each medium.
+
+        There must be a function for it. Media are numbered as in `djpt.geometry.null_meshes`.
+
+        Args:
+            o: The origin, as seen from the centre.
+            d: The direction.
+            maxt: Where the ray ends.
+            active: Lanes that have a ray.
+            medium: The number of the medium in which it begins.
+        """
+        assert self.functions.lengths is not None
+        return call_lengths(self.functions.lengths, self.memory, o, d, maxt, active, medium)
+
     def row(self, record: UInt32) -> list[UInt32]:
         words: Any = dr.gather(ArrayXu, self.memory, record, shape=(ROW_WORDS, 1))
         return list(words)
@@ -191,9 +235,15 @@ SEARCHES: dict[str, Callable[[int, Features], str]] = {"rings": ring_functions, 
 
 
 @cache
-def functions(features: Features, search: str) -> Functions:
-    """The functions of one of `SEARCHES` for scenes with some features, compiled at the first call."""
-    return Functions(*(Code.at(address) for address in addresses(features, search)))
+def functions(features: Features, search: str, measures: bool = False) -> Functions:
+    """The functions of one of `SEARCHES` for scenes with some features, compiled at the first call.
+
+    If it `measures`, which only rings can, there is one that does; not for scenes with instances.
+    """
+    measures &= search == "rings" and not features.instances
+    lengths = Code.at(address_of_lengths(features)) if measures else None
+    closest, any_hit = addresses(features, search)
+    return Functions(Code.at(closest), Code.at(any_hit), lengths)
 
 
 @cache
@@ -201,6 +251,12 @@ def addresses(features: Features, search: str) -> tuple[int, int]:
     """Where the functions for the closest hit and for any hit are in memory."""
     found = compiled(SEARCHES[search](lane_count(), features), (CLOSEST_OF_PACKET, ANY_OF_PACKET))
     return found[CLOSEST_OF_PACKET], found[ANY_OF_PACKET]
+
+
+@cache
+def address_of_lengths(features: Features) -> int:
+    """Where the function that measures media is in memory."""
+    return compiled(crossing_function(lane_count(), features), (LENGTHS_OF_PACKET,))[LENGTHS_OF_PACKET]
 
 
 @cache
@@ -315,6 +371,7 @@ class CompiledTrees:
         if first_triangle[-1] > REFERENCE:
             raise SceneError(f"the scene has too many triangles: {first_triangle[-1]} rows of 32 bytes for its trees")
         rows = aligned((int(first_triangle[-1]), ROW_WORDS))
+        measures = any(tree.part.ways is not None for tree in trees)
         for k, tree in enumerate(trees):
             own = rows[starts[k] : starts[k + 1]]
             own.ravel()[:] = tree.built.memory
@@ -327,6 +384,9 @@ class CompiledTrees:
             with workers(len(records), None) as team:
                 write_rows(records, tree.built.order, part.meshes, part.labels, tree.corners, part.first_face, team)
             tree.corners = tree.corners[:0]
+            if part.ways is not None:
+                records[:, 0] = part.ways[tree.built.order]
+                part.ways = None
         extent = trees[0].built.extent
         if placed is not None:
             table = rows[starts[-1] : first_triangle[0]].reshape(count, PLACED_ROWS * ROW_WORDS)
@@ -334,7 +394,11 @@ class CompiledTrees:
             placed.write(table, every.view(np.uint32), every, extent.center)
         return CompiledTree(
             UInt32(rows.ravel()),
-            functions(Features(len(trees) > 1, kinds, lights, one_sided), self._search),
+            functions(
+                Features(len(trees) > 1, kinds, lights, one_sided),
+                self._search,
+                measures,
+            ),
             as_vector(extent.center.astype(np.float64)),
             as_float(0.50001 * extent.diagonal),
             extent.diagonal,
