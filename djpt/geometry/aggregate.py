@@ -20,13 +20,7 @@ from djpt.core.lookup import Numbers, is_one_of
 from djpt.core.records import RAY_EPSILON, PreliminaryIntersection3f, Ray3f
 from djpt.dispatch.ensemble import Ensemble, Lookup
 from djpt.geometry.bvh.calls.layout import MEDIA
-from djpt.geometry.query import ANALYTIC
-from djpt.geometry.query import Cursor
-from djpt.geometry.query import FACE
-from djpt.geometry.query import NONE
-from djpt.geometry.query import Near
-from djpt.geometry.query import Query
-from djpt.geometry.query import recentre
+from djpt.geometry.query import ANALYTIC, FACE, NONE, Cursor, Near, Query, recentre
 from djpt.geometry.unrolled import Unrolled
 from djpt.jit.kernels import as_vector
 from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f

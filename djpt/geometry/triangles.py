@@ -21,13 +21,7 @@ from djpt.geometry.canonical import FLAT_KINDS, PIECE
 from djpt.geometry.canonical import surface as canonical_surface
 from djpt.geometry.curve_segments import CurveSegmentSet
 from djpt.geometry.null_meshes import NullMeshes
-from djpt.geometry.query import DETAIL
-from djpt.geometry.query import Found
-from djpt.geometry.query import LABEL
-from djpt.geometry.query import NONE
-from djpt.geometry.query import Near
-from djpt.geometry.query import RayTree
-from djpt.geometry.query import enter
+from djpt.geometry.query import DETAIL, LABEL, NONE, Found, Near, RayTree, enter
 from djpt.geometry.triangle import RayPlane, intersect_triangle
 from djpt.geometry.two_level_bvh import TwoLevelBVH
 from djpt.jit.kernels import float_in

@@ -9,8 +9,7 @@ import drjit as dr
 
 from djpt.core.records import SHADOW_EPSILON, BSDFFlags, PreliminaryIntersection3f, Ray3f, has_flag
 from djpt.core.records.interactions import MediumInteraction3f
-from djpt.geometry.aggregate import MeasuredMedia
-from djpt.geometry.aggregate import NullSurfaces
+from djpt.geometry.aggregate import MeasuredMedia, NullSurfaces
 from djpt.jit.kernels import wide
 from djpt.jit.types import Bool, Color3f, Float, Point3f, UInt32, Vector3f
 from djpt.media.differentials import own_stream

@@ -18,25 +18,14 @@ from djpt.errors import SceneError
 from djpt.geometry.bvh.build.builder import Built, build, refit, workers
 from djpt.geometry.bvh.build.rows import corners_of, write_rows
 from djpt.geometry.bvh.build.wide import REBUILD
-from djpt.geometry.bvh.calls.crossings import LENGTHS_OF_PACKET
-from djpt.geometry.bvh.calls.crossings import crossing_function
-from djpt.geometry.bvh.calls.layout import ANY_HIT
-from djpt.geometry.bvh.calls.layout import EXTENT_WORD
-from djpt.geometry.bvh.calls.layout import MEDIUM_BITS
-from djpt.geometry.bvh.calls.layout import PASSES_LIGHTS
-from djpt.geometry.bvh.calls.layout import REFERENCE
-from djpt.geometry.bvh.calls.layout import ROW_WORDS
+from djpt.geometry.bvh.calls.crossings import LENGTHS_OF_PACKET, crossing_function
+from djpt.geometry.bvh.calls.layout import ANY_HIT, EXTENT_WORD, MEDIUM_BITS, PASSES_LIGHTS, REFERENCE, ROW_WORDS
 from djpt.geometry.bvh.calls.ray import Features
 from djpt.geometry.bvh.calls.rings import ring_functions
 from djpt.geometry.bvh.calls.traversal import ANY_OF_PACKET, CLOSEST_OF_PACKET, packet_functions
 from djpt.geometry.bvh.leaves import Extent, MeshPart, PlacedLeaves
-from djpt.geometry.query import Found
-from djpt.geometry.query import NONE
-from djpt.geometry.query import enter
-from djpt.jit.kernels import aligned
-from djpt.jit.kernels import as_float
-from djpt.jit.kernels import as_vector
-from djpt.jit.kernels import float_in
+from djpt.geometry.query import NONE, Found, enter
+from djpt.jit.kernels import aligned, as_float, as_vector, float_in
 from djpt.jit.llvm.calls import Code, call, reason_against
 from djpt.jit.llvm.compiler import compiled
 from djpt.jit.llvm.lanes import instruction_set, lane_count, target
