@@ -85,6 +85,15 @@ class Integrator(Plugin):
         self.unproven_gradients = props.boolean("unproven_gradients", False)
 
     @property
+    def path_tracer(self) -> Integrator:
+        """The integrator whose paths are advanced vertex by vertex: this one, or one that is nested in it."""
+        return self
+
+    def sample_channels(self, color: Color3f, valid: Bool) -> list[Float]:
+        """The values of `aov_names` for a finished sample of `path_tracer`: its colour, and whether it is covered."""
+        return []
+
+    @property
     def stepwise(self) -> bool:
         """True if it advances vertex by vertex, so that paths can be replayed: see `PathIntegrator`."""
         return "flat" in self.schedules

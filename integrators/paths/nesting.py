@@ -26,6 +26,9 @@ class NestingIntegrator(Integrator):
     The colour of the image is that of the first.
     """
 
+    runs_as_nested = False
+    """True if the schedules of the only nested integrator run this one, too: see `run_as_nested`."""
+
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         self.nested: list[tuple[str, Integrator]] = props.children("integrator")
@@ -38,6 +41,26 @@ class NestingIntegrator(Integrator):
         self.needs_light = any(integrator.needs_light for integrator in integrators)
         # Path replay is for path tracers that stand alone, and their `sample` has no derivative.
         self.differentiable = all(integrator.differentiable and not integrator.stepwise for integrator in integrators)
+
+    def run_as_nested(self) -> None:
+        """Take over the schedules of the only nested integrator, if all channels follow from its finished samples.
+
+        For classes that define `sample_channels`, at the end of `__init__`.
+        """
+        ((_, nested), *others) = self.nested
+        self.runs_as_nested = not others and nested.stepwise and not nested.aov_names()
+        if self.runs_as_nested:
+            self.schedules, self.emitter_choice = nested.schedules, nested.emitter_choice
+            self.follows_media, self.measures_distance = nested.follows_media, nested.measures_distance
+
+    @property
+    def path_tracer(self) -> Integrator:
+        return self.nested[0][1] if self.runs_as_nested else self
+
+    @property
+    def stepwise(self) -> bool:
+        # Its paths aren't replayed for derivatives.
+        return False
 
     def traverse(self, callback: TraversalCallback) -> None:
         for i, (_, integrator) in enumerate(self.nested):

@@ -114,7 +114,7 @@ def run(job: Job, lanes: Lanes, sink: Sink) -> list[Any]:
 
     Returns the sink's state.
     """
-    integrator = job.integrator
+    integrator, derived = job.integrator.path_tracer, job.integrator.sample_channels
     assert isinstance(integrator, PathIntegrator)
     scene, width = job.scene, dr.width(lanes.pixel)
     x, y = job.coordinates(lanes.pixel)
@@ -145,7 +145,7 @@ def run(job: Job, lanes: Lanes, sink: Sink) -> list[Any]:
         radiance = lane.radiance + here
 
         # The path has ended: hand over the sample, start the next one.
-        channels = job.channels(radiance, valid, [])
+        channels = job.channels(radiance, valid, derived(radiance, valid))
         state, waiting, taken = sink.take(lane.sink, waiting, channels, lane.offset, ready)
         if lane.held is not None:
             held = ready & ~taken
