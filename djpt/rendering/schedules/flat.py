@@ -211,7 +211,7 @@ def spread_called(job: Job, band: Band, memory: list[Float], rows: Rows) -> list
 def film_sums(job: Job, band: Band, begin: int, end: int, sums: list[Float] | None) -> list[Float]:
     """Add the samples begin <= k < end of a band to the film's sums by pixels, without storing them.
 
-    The result goes to `collected`: the lanes of a pixel follow each other group by group.
+    The result goes to `collected`: the lanes of a pixel stand side by side.
     """
     lanes = interleaved(job, band, begin, end)
     if sums is None:

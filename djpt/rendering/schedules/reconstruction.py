@@ -204,6 +204,7 @@ Read = Callable[[UInt32, int, Bool], Sums]
 def collect(job: Job, band: Band, lanes: int, read: Callable[[int], Read], rows_in_reach: Rows) -> Sums:
     """Add to each pixel in a band's reach what the `lanes` of the band's pixels around it hold for it.
 
+    The lanes of a pixel stand side by side.
     `read` gives how the sums for a row tap are read. All row taps have the same kernel, which is soon compiled; where
     it is launched again and again, one kernel for all of them is faster.
     """
@@ -221,20 +222,20 @@ def collect_row(job: Job, band: Band, lanes: int, read: Read, below: int, place:
     taps, pixels = job.film.taps, band.rows * job.width
     _, column, row, _ = pixels_of(job, Band(place.first_row, place.count))
     width, rows = Int32(job.width_value), dr.opaque(Int32, band.rows)
-    size, end = dr.opaque(UInt32, pixels), dr.opaque(UInt32, lanes)
+    count = dr.opaque(UInt32, lanes // pixels)
     y = row - dr.opaque(Int32, below + band.first_row)
 
-    def body(start: UInt32, image: Sums) -> tuple[UInt32, Sums]:
+    def body(g: UInt32, image: Sums) -> tuple[UInt32, Sums]:
         result = list(image)
         for i in reversed(range(taps)):
             x = column - (i - taps // 2)
             inside = (x >= 0) & (x < width) & (y >= 0) & (y < rows)
-            parts = read(start + UInt32(y * width + x), i, inside)
+            parts = read(dr.fma(UInt32(y * width + x), count, g), i, inside)
             result = [total + part for total, part in zip(result, parts, strict=True)]
-        return start + size, result
+        return g + 1, result
 
     start = dr.zeros(UInt32, dr.width(column))
-    _, result = while_loop((start, list(image)), lambda start, image: start < end, body, label="film spread")
+    _, result = while_loop((start, list(image)), lambda g, image: g < count, body, label="film spread")
     return result
 
 
@@ -305,8 +306,19 @@ def spread_from_targets(job: Job, band: Band, sums: Sums, rows_in_reach: Rows) -
 # ---- without a filter, and backwards ----------------------------------------------------------
 
 
-def add_box(job: Job, band: Band, samples: list[Float], begin: int, end: int, sums: list[Float] | None) -> list[Float]:
-    """Add up the samples of each pixel in order, without weights: all that the box filter needs."""
+def add_box(
+    job: Job,
+    band: Band,
+    samples: list[Float],
+    begin: int,
+    end: int,
+    sums: list[Float] | None,
+    side_by_side: bool = False,
+) -> list[Float]:
+    """Add up the samples of each pixel in order, without weights: all that the box filter needs.
+
+    Samples have the layout [k - begin][pixel], or [pixel][k - begin] if those of a pixel stand `side_by_side`.
+    """
     pixels = band.rows * job.width
     lane = dr.arange(UInt32, pixels)
     size, count = dr.opaque(UInt32, pixels), dr.opaque(UInt32, end - begin)
@@ -314,7 +326,7 @@ def add_box(job: Job, band: Band, samples: list[Float], begin: int, end: int, su
         sums = [dr.opaque(Float, 0, pixels) for _ in samples]
 
     def body(k: UInt32, sums: list[Float]) -> tuple[UInt32, list[Float]]:
-        slot = dr.fma(k, size, lane)
+        slot = dr.fma(lane, count, k) if side_by_side else dr.fma(k, size, lane)
         return k + 1, [s + dr.gather(Float, b, slot) for s, b in zip(sums, samples, strict=True)]
 
     _, result = while_loop((dr.zeros(UInt32, pixels), sums), lambda k, s: k < count, body, label="film box")
