@@ -93,6 +93,13 @@ class Integrator(Plugin):
         """The values of `aov_names` for a finished sample of `path_tracer`: its colour, and whether it is covered."""
         return []
 
+    def camera_channels(self, scene: Scene, ray: Ray3f) -> list[Float]:
+        """The last values of `aov_names`, after `sample_channels`: those that follow from the camera ray of a sample.
+
+        The schedule `machine` asks for none, nor does that for media.
+        """
+        return []
+
     @property
     def stepwise(self) -> bool:
         """True if it advances vertex by vertex, so that paths can be replayed: see `PathIntegrator`."""

@@ -43,15 +43,17 @@ class NestingIntegrator(Integrator):
         self.differentiable = all(integrator.differentiable and not integrator.stepwise for integrator in integrators)
 
     def run_as_nested(self) -> None:
-        """Take over the schedules of the only nested integrator, if all channels follow from its finished samples.
+        """Take over the schedules of the only nested integrator, if it advances vertex by vertex.
 
-        For classes that define `sample_channels`, at the end of `__init__`.
+        For classes whose channels follow from its finished samples, and from camera rays: those that define
+        `sample_channels` or `camera_channels`. At the end of `__init__`.
         """
         ((_, nested), *others) = self.nested
         self.runs_as_nested = not others and nested.stepwise and not nested.aov_names()
         if self.runs_as_nested:
             self.schedules, self.emitter_choice = nested.schedules, nested.emitter_choice
-            self.follows_media, self.measures_distance = nested.follows_media, nested.measures_distance
+            self.follows_media = nested.follows_media
+            self.measures_distance = self.measures_distance or nested.measures_distance
 
     @property
     def path_tracer(self) -> Integrator:
