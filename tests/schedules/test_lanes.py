@@ -13,7 +13,7 @@ from djpt.core.records import BSDFSample3f
 from djpt.jit.kernels import computed_where
 from djpt.jit.types import Bool, Color3f, Float, UInt32, Vector3f
 from djpt.rendering.image import make_job
-from djpt.rendering.schedules import Flat, wave
+from djpt.rendering.schedules.choice import choose
 from djpt.rendering.schedules.job import Band
 from djpt.rendering.schedules.lanes import lanes_per_pixel
 from djpt.rendering.settings import RenderSettings
@@ -22,30 +22,29 @@ from tests.kit.renders import box, pixels
 SIZE, SPP = 9, 32
 
 
-def test_sums_are_those_of_each_lane_in_order() -> None:
-    scene = djpt.load_dict(box(SIZE, "box", {"type": "path", "max_depth": 4}))
+@pytest.mark.parametrize(
+    ("schedule", "integrator"),
+    [
+        ("flat", {"type": "path", "max_depth": 4}),
+        ("wave", {"type": "direct"}),
+        ("wave", {"type": "aov", "aovs": "n:sh_normal", "a": {"type": "direct"}}),
+    ],
+)
+def test_sums_are_those_of_each_lane_in_order(schedule: str, integrator: dict[str, Any]) -> None:
+    scene = djpt.load_dict(box(SIZE, "box", integrator))
     job = make_job(scene, RenderSettings.of(scene, seed=3, spp=SPP))
-    lanes = lanes_per_pixel(SIZE * SIZE, SPP)
+    lanes, how = lanes_per_pixel(SIZE * SIZE, SPP), choose(schedule, job)
     assert lanes > 1
-    samples = np.array([np.array(c) for c in Flat().samples(job, Band(0, SIZE), 0, SPP)]).reshape(3, SPP, -1)
-    expected = np.zeros((3, SIZE * SIZE), np.float32)
+    channels = [np.array(c) for c in how.samples(job, Band(0, SIZE), 0, SPP)]
+    samples = np.array(channels).reshape(len(channels), SPP, -1)
+    expected = np.zeros_like(samples[:, 0])
     for g in range(lanes):
         of_lane = np.zeros_like(expected)
         for k in range(g, SPP, lanes):
             of_lane += samples[:, k]
         expected += of_lane
-    image = pixels(djpt.render(scene, seed=3, spp=SPP, schedule="flat"))
-    np.testing.assert_array_equal(image.reshape(-1, 3), (expected * np.float32(1 / SPP)).T)
-
-
-@pytest.mark.parametrize("integrator", [{"type": "direct"}, {"type": "moment", "a": {"type": "direct"}}])
-def test_the_wave_schedule_adds_samples_in_the_same_order(
-    integrator: dict[str, Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    scene = djpt.load_dict(box((7, SIZE), "box", integrator))
-    image = pixels(djpt.render(scene, seed=1, spp=12))
-    monkeypatch.setattr(wave, "LANES", 0)
-    np.testing.assert_array_equal(pixels(djpt.render(scene, seed=1, spp=12)), image)
+    image = pixels(djpt.render(scene, seed=3, spp=SPP, schedule=schedule))
+    np.testing.assert_allclose(image.reshape(SIZE * SIZE, -1), (expected * np.float32(1 / SPP)).T, rtol=0, atol=0)
 
 
 def test_what_is_not_computed_is_zero() -> None:

@@ -11,7 +11,6 @@ from djpt.jit.types import Bool, Float, Int32, UInt32
 from djpt.rendering.schedules.job import Band, Job
 
 __all__ = [
-    "LANES",
     "Lanes",
     "TiledLanes",
     "TiledSample",
@@ -19,7 +18,6 @@ __all__ = [
     "interleaved",
     "lanes_per_pixel",
     "layered",
-    "side_by_side",
 ]
 
 BLOCK = 2**14

@@ -36,9 +36,7 @@ __all__ = [
     "stored_passes",
     "stored_pixels",
     "stored_rows",
-    "stored_spp",
     "summed_rows",
-    "unfiltered_rows",
 ]
 
 T = TypeVar("T")

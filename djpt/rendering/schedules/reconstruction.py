@@ -306,19 +306,8 @@ def spread_from_targets(job: Job, band: Band, sums: Sums, rows_in_reach: Rows) -
 # ---- without a filter, and backwards ----------------------------------------------------------
 
 
-def add_box(
-    job: Job,
-    band: Band,
-    samples: list[Float],
-    begin: int,
-    end: int,
-    sums: list[Float] | None,
-    side_by_side: bool = False,
-) -> list[Float]:
-    """Add up the samples of each pixel in order, without weights: all that the box filter needs.
-
-    Samples have the layout [k - begin][pixel], or [pixel][k - begin] if those of a pixel stand `side_by_side`.
-    """
+def add_box(job: Job, band: Band, samples: list[Float], begin: int, end: int, sums: list[Float] | None) -> list[Float]:
+    """Add up the samples of each pixel in order, without weights: all that the box filter needs."""
     pixels = band.rows * job.width
     lane = dr.arange(UInt32, pixels)
     size, count = dr.opaque(UInt32, pixels), dr.opaque(UInt32, end - begin)
@@ -326,7 +315,7 @@ def add_box(
         sums = [dr.opaque(Float, 0, pixels) for _ in samples]
 
     def body(k: UInt32, sums: list[Float]) -> tuple[UInt32, list[Float]]:
-        slot = dr.fma(lane, count, k) if side_by_side else dr.fma(k, size, lane)
+        slot = dr.fma(k, size, lane)
         return k + 1, [s + dr.gather(Float, b, slot) for s, b in zip(sums, samples, strict=True)]
 
     _, result = while_loop((dr.zeros(UInt32, pixels), sums), lambda k, s: k < count, body, label="film box")
