@@ -95,6 +95,11 @@ class AOV(NestingIntegrator):
                 raise SceneError(f"{props.node}.{name}: an integrator with AOVs of its own can't be nested")
         self.writes_color = bool(self.nested)
         self.measures_distance = any(kind == "distance" for _, kind in self.variables)
+        if self.nested:
+            self.run_as_nested()
+        if self.runs_as_nested and not self.unfiltered:
+            # State machines ask camera rays for no channels.
+            self.schedules = tuple(name for name in self.schedules if name in ("flat", "wave"))
 
     def aov_names(self) -> Sequence[str]:
         further = [f"{name}.{c}" for name, _ in self.nested[1:] for c in "RGB"]
@@ -121,6 +126,9 @@ class AOV(NestingIntegrator):
             return Color3f(0), si.is_valid(), channels
         color, covered, _ = samples[0]
         return color, covered, channels
+
+    def camera_channels(self, scene: Scene, ray: Ray3f) -> list[Float]:
+        return [] if self.unfiltered else self.seen(scene.ray_intersect(ray), ray)
 
     def unfiltered_channels(self, scene: Scene, ray: Ray3f) -> list[Float]:
         return self.seen(scene.ray_intersect(ray), ray)

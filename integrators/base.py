@@ -107,6 +107,22 @@ class Integrator(Plugin):
         props.integer("block_size", 0)
 
     @property
+    def path_tracer(self) -> Integrator:
+        """The integrator whose paths are advanced vertex by vertex: this one, or one that is nested in it."""
+        return self
+
+    def sample_channels(self, color: Color3f, valid: Bool) -> list[Float]:
+        """The values of `aov_names` for a finished sample of `path_tracer`: its colour, and whether it is covered."""
+        return []
+
+    def camera_channels(self, scene: Scene, ray: Ray3f) -> list[Float]:
+        """The last values of `aov_names`, after `sample_channels`: those that follow from the camera ray of a sample.
+
+        The schedule `machine` asks for none, nor does that for media.
+        """
+        return []
+
+    @property
     def stepwise(self) -> bool:
         """True if it advances vertex by vertex, so that paths can be replayed: see `PathIntegrator`."""
         return "flat" in self.schedules

@@ -76,7 +76,8 @@ class Direct(Integrator):
             result += value * light * weight
 
         # -------------------- BSDF sampling -------------------
-        for _ in range(self.bsdf_samples):
+        # Where no ray meets light they bring none; as the last ones they leave no number for others.
+        for _ in range(self.bsdf_samples if scene.lights.can_be_met else 0):
             # Direction before lobe: the order in which Mitsuba's `direct` draws them.
             sample2 = sampler.next_2d(lit)
             bs, bsdf_weight = bsdf.sample(ctx, si, sampler.next_1d(lit), sample2, lit)

@@ -46,6 +46,7 @@ class Moment(NestingIntegrator):
         super().__init__(props)
         if not self.nested:
             raise props.error("moment", "needs a nested integrator")
+        self.run_as_nested()
 
     def aov_names(self) -> Sequence[str]:
         first = [
@@ -59,12 +60,21 @@ class Moment(NestingIntegrator):
         self, scene: Scene, sampler: SampleStream, ray: Ray3f, medium: Any = None, active: Bool | bool = True
     ) -> tuple[Color3f, Bool, list[Float]]:
         samples = self.samples(scene, sampler, ray, active)
-        first: list[Float] = []
-        for color, _, channels in samples:
-            xyz = [r * color.x + g * color.y + b * color.z for r, g, b in RGB_TO_XYZ.tolist()]
-            first += [*channels, *xyz]
         color, valid, _ = samples[0]
-        return color, valid, first + [dr.square(value) for value in first]
+        return color, valid, with_squares([c for color, _, aovs in samples for c in (*aovs, *xyz(color))])
+
+    def sample_channels(self, color: Color3f, valid: Bool) -> list[Float]:
+        return with_squares(xyz(color))
+
+
+def xyz(color: Color3f) -> list[Float]:
+    """The components of a colour in CIE XYZ."""
+    return [r * color.x + g * color.y + b * color.z for r, g, b in RGB_TO_XYZ.tolist()]
+
+
+def with_squares(values: list[Float]) -> list[Float]:
+    """Some values, then their squares."""
+    return values + [dr.square(value) for value in values]
 
 
 def variance(image: Any, channels: Sequence[str], spp: int) -> TensorXf:

@@ -50,10 +50,11 @@ class Path(UnidirectionalPath):
         self, scene: Scene, sampler: SampleStream, state: PathState, ray: Ray3f, si: SurfaceInteraction3f
     ) -> Vertex:
         proceed = self.proceeds(state, si)
-        met, light = scene.lights.sampling.at_vertex(state.reference, ray, si, sampler.next_2d(), proceed)
+        weighted = state.bsdf_pdf > 0
+        met, light = scene.lights.sampling.at_vertex(state.reference, ray, si, sampler.next_2d(), proceed, weighted)
 
         # ---------------------- Emission ----------------------
-        mis = dr.select(state.bsdf_pdf > 0, mis_weight(state.bsdf_pdf, met.pdf), 1)
+        mis = dr.select(weighted, mis_weight(state.bsdf_pdf, met.pdf), 1)
         emitted = self.shown(state, si, state.throughput * mis * met.radiance)
 
         # ------------------- Light sampling -------------------

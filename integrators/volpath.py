@@ -116,8 +116,9 @@ class VolumetricPath(UnidirectionalPath):
         bsdf = si.bsdf()
         extends = state.depth + 1 < self.longest
         lit = extends & ((inside & samples_emitters) | (surface & has_flag(bsdf.flags(), BSDFFlags.Smooth)))
-        met, light = scene.lights.sampling.at_vertex(state.reference, ray, at, sampler.next_2d(lit), lit)
-        mis = dr.select(state.bsdf_pdf > 0, mis_weight(state.bsdf_pdf, met.pdf), 1)
+        of_lights, weighted = scene.lights.sampling, state.bsdf_pdf > 0
+        met, light = of_lights.at_vertex(state.reference, ray, at, sampler.next_2d(lit), lit, weighted, inside)
+        mis = dr.select(weighted, mis_weight(state.bsdf_pdf, met.pdf), 1)
         emitted = self.shown(state, si, dr.select(inside, 0, throughput * mis * met.radiance))
         if scene.media.emit and self.max_depth != 0:
             emitted = emitted + state.throughput * flight.emitted

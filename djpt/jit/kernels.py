@@ -29,6 +29,7 @@ __all__ = [
     "as_float",
     "as_vector",
     "begin_trace",
+    "computed_where",
     "float_in",
     "if_stmt",
     "lerp",
@@ -104,6 +105,28 @@ def while_loop(state: Any, condition: Any, body: Any, **options: Any) -> Any:
 def if_stmt(arguments: Any, condition: Any, true_fn: Any, false_fn: Any, **options: Any) -> Any:
     """A branch of Dr.Jit that becomes part of a kernel, whatever the flags say. Arguments as for `dr.if_stmt`."""
     return dr.if_stmt(arguments, condition, true_fn, false_fn, mode="symbolic", **options)
+
+
+def computed_where(condition: Bool, work: Callable[[], T], label: str) -> T:
+    """What `work` returns where a condition holds, and zeros elsewhere: packets of lanes skip it if none needs it.
+
+    The result is a record, list or tuple of arrays. Random numbers must be drawn before, and records that `work` reads
+    are to be copies (`Record.replaced`): a field that is first read in a branch doesn't exist outside of it.
+    """
+    found: list[Any] = []
+
+    def wanted(_: Bool) -> Any:
+        found.append(work())
+        return (found[0],)
+
+    def unwanted(_: Bool) -> Any:
+        # Dr.Jit doesn't ask for the other branch where it knows that the condition never holds.
+        like = found[0] if found else work()
+        return (mapped(like, lambda numbers: dr.zeros(type(numbers))),)
+
+    (result,) = if_stmt((Bool(True),), condition, wanted, unwanted, label=label)
+    found.clear()
+    return result
 
 
 # ---- loop state ------------------------------------------------------------------------------

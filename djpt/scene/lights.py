@@ -10,7 +10,7 @@ import drjit as dr
 import numpy as np
 
 from djpt.core.lookup import Members
-from djpt.core.records import BSDFFlags, has_flag
+from djpt.core.records import BSDFFlags, EmitterFlags, has_flag
 from djpt.dispatch.ensemble import Ensemble, Lookup
 from djpt.dispatch.family import Family
 from djpt.emitters import Emitter
@@ -159,6 +159,12 @@ class Lights:
     def environment(self) -> Emitter | None:
         """The emitter that surrounds the scene, or None."""
         return self.ensemble.plugins[self._on_miss] if self._on_miss < len(self.ensemble) else None
+
+    @property
+    def can_be_met(self) -> bool:
+        """Whether a ray can meet light by chance: not that of points, nor parallel light."""
+        delta = EmitterFlags.DeltaPosition | EmitterFlags.DeltaDirection
+        return any(not has_flag(emitter.flags(), delta) for emitter in self.ensemble.plugins)
 
     def index_at(self, face: UInt32, hit: Bool) -> UInt32:
         """The number of the emitter that a ray meets: that of the face or, where it isn't a `hit`, the environment."""

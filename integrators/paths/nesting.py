@@ -26,6 +26,9 @@ class NestingIntegrator(Integrator):
     The colour of the image is that of the first.
     """
 
+    runs_as_nested = False
+    """True if the schedules of the only nested integrator run this one, too: see `run_as_nested`."""
+
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         self.nested: list[tuple[str, Integrator]] = props.children("integrator")
@@ -41,6 +44,28 @@ class NestingIntegrator(Integrator):
             integrator.differentiable and not (integrator.stepwise or integrator.renders_itself())
             for integrator in integrators
         )
+
+    def run_as_nested(self) -> None:
+        """Take over the schedules of the only nested integrator, if it advances vertex by vertex.
+
+        For classes whose channels follow from its finished samples, and from camera rays: those that define
+        `sample_channels` or `camera_channels`. At the end of `__init__`.
+        """
+        ((_, nested), *others) = self.nested
+        self.runs_as_nested = not others and nested.stepwise and not nested.aov_names()
+        if self.runs_as_nested:
+            self.schedules, self.emitter_choice = nested.schedules, nested.emitter_choice
+            self.follows_media = nested.follows_media
+            self.measures_distance = self.measures_distance or nested.measures_distance
+
+    @property
+    def path_tracer(self) -> Integrator:
+        return self.nested[0][1] if self.runs_as_nested else self
+
+    @property
+    def stepwise(self) -> bool:
+        # Its paths aren't replayed for derivatives.
+        return False
 
     def traverse(self, callback: TraversalCallback) -> None:
         for i, (_, integrator) in enumerate(self.nested):

@@ -158,3 +158,17 @@ def test_the_shading_normal_is_the_one_that_a_normal_map_asks_for() -> None:
     normals = {tuple(np.round(row, 3)) for row in image[..., :3].reshape(-1, 3).tolist()}
     assert normals == {(0.0, 0.6, 0.8), (0.0, 0.0, 1.0)}
     assert np.allclose(image[..., 3:6], [0, 0, 1], atol=1e-6)
+
+
+@pytest.mark.parametrize("filter_name", ["box", "gaussian"])
+@pytest.mark.parametrize("unfiltered", [False, True])
+def test_aovs_run_in_the_schedule_of_a_nested_path_tracer(filter_name: str, unfiltered: bool) -> None:
+    description = box(20, filter_name, aov("d:distance,n:sh_normal,i:shape_index", p=PATH, unfiltered=unfiltered))
+    scene, alone = djpt.load_dict(description), djpt.load_dict({**description, "integrator": PATH})
+    image, reference = (pixels(djpt.render(scene, spp=16, seed=4, schedule=s)) for s in ("flat", "wave"))
+    np.testing.assert_allclose(image, reference, rtol=2e-5, atol=2e-5)
+    if filter_name == "box" or unfiltered:
+        # With more channels than sums of the filter are held for, samples are stored.
+        np.testing.assert_array_equal(image[..., :3], pixels(djpt.render(alone, spp=16, seed=4, schedule="flat")))
+    with pytest.raises(djpt.RenderError, match=r"'machine'|vertex by vertex"):
+        djpt.render(scene, spp=1, schedule="machine")

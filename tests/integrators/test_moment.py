@@ -40,6 +40,39 @@ def test_the_same_channels_and_pixels_as_in_mitsuba(integrator: dict[str, Any]) 
     assert list(names[3:]) == mi.load_dict(integrator).aov_names()
 
 
+@pytest.mark.parametrize("schedule", ["flat", "wave"])
+@pytest.mark.parametrize("filter_name", ["box", "tent"])
+def test_the_schedules_of_a_path_tracer_make_its_moments(schedule: str, filter_name: str) -> None:
+    alone = box(24, filter_name, {"type": "path", "max_depth": 3, "hide_emitters": True})
+    scene, nested = djpt.load_dict(alone), djpt.load_dict({**alone, "integrator": moment(img=alone["integrator"])})
+    color = pixels(djpt.render(scene, spp=16, seed=5, schedule=schedule))
+    image = pixels(djpt.render(nested, spp=16, seed=5, schedule=schedule))
+    np.testing.assert_array_equal(image[..., :3], color)
+    # The luminance of the mean, and the second moments of the samples by themselves.
+    np.testing.assert_allclose(image[..., 4], color @ [0.212671, 0.715160, 0.072169], rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(
+        image, pixels(djpt.render(nested, spp=16, seed=5, schedule="wave")), rtol=2e-5, atol=1e-6
+    )
+
+
+def test_several_integrators_have_moments_in_the_wave_schedule_only() -> None:
+    scene = djpt.load_dict(box(8, "box", moment(a={"type": "path"}, b=DIRECT)))
+    with pytest.raises(djpt.RenderError, match="doesn't advance vertex by vertex"):
+        djpt.render(scene, spp=1, schedule="flat")
+
+
+def test_moments_of_paths_in_media_are_those_of_single_samples() -> None:
+    description = box(12, "box", moment(img={"type": "volpath", "max_depth": 4}))
+    description["smoke"] = {
+        "type": "cube",
+        "bsdf": {"type": "null"},
+        "interior": {"type": "homogeneous", "albedo": 0.8, "sigma_t": 0.5},
+    }
+    scene = djpt.load_dict(description)
+    image, reference = (pixels(djpt.render(scene, spp=8, seed=2, schedule=s)) for s in ("auto", "wave"))
+    np.testing.assert_allclose(image, reference, rtol=2e-5, atol=1e-6)
+
+
 def test_aovs_of_nested_integrators_have_moments_too() -> None:
     description = box(16, "box", moment(a={"type": "aov", "aovs": "d:depth", "x": DIRECT}))
     names = djpt.channel_names(djpt.load_dict(description))

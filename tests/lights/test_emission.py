@@ -17,8 +17,10 @@ import djpt
 from djpt.core.frame import Frame3f
 from djpt.core.records import DirectionSample3f, EmissionSample, EmitterFlags, has_flag
 from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.materials.pointer import BSDFPtr
 from tests.kit.chi_squared import PLANE, SIGNIFICANCE, SPHERE, p_value, uniform
 from tests.kit.emitters import NAMES, entry
+from tests.kit.renders import box, lights, pixels
 from tests.lights.test_sampling import BALL, room
 from tests.sampling.test_claims import with_area
 
@@ -301,3 +303,16 @@ def test_shapes_without_area_are_refused(emitter: str) -> None:
     for method in (lambda: light.sample_emission(half, half), lambda: light.pdf_emission(d, d, half)):
         with pytest.raises(djpt.SceneError, match="light: no rays can be drawn from this shape"):
             method()
+
+
+def test_direct_traces_no_bsdf_samples_that_can_meet_no_light(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: Any, **__: Any) -> None:
+        raise AssertionError("a BSDF was sampled")
+
+    monkeypatch.setattr(BSDFPtr, "sample", refuse)
+    description = box(4, "box", {"type": "direct", "shading_samples": 2}, lights("point"))
+    with pytest.raises(AssertionError, match="sampled"):
+        djpt.render(djpt.load_dict(description), spp=1)
+    for key in [key for key, node in description.items() if isinstance(node, dict) and "emitter" in node]:
+        del description[key]
+    assert pixels(djpt.render(djpt.load_dict(description), spp=4)).mean() > 0

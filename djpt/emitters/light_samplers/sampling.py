@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import drjit as dr
 
 from djpt.core.records import DirectionSample3f, Observer, Ray3f, Reference, SurfaceInteraction3f
-from djpt.dispatch.ensemble import Ensemble, Lookup
+from djpt.dispatch.ensemble import Detached, Ensemble, Lookup
 from djpt.dispatch.family import Family
 from djpt.emitters.base import Emitter
 from djpt.emitters.pointer import EmitterPtr
+from djpt.jit.kernels import computed_where
 from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
 
 __all__ = ["LightSample", "LightSampler", "LightSampling", "MetLight"]
@@ -96,11 +97,19 @@ class LightSampling:
         return pdf * self.light_sampler.probability(ref.p, ref.n, ds.emitter_index)
 
     def at_vertex(
-        self, ref: Reference, ray: Ray3f, si: SurfaceInteraction3f, sample: Point2f, active: Bool
+        self,
+        ref: Reference,
+        ray: Ray3f,
+        si: SurfaceInteraction3f,
+        sample: Point2f,
+        active: Bool,
+        weighted: Bool,
+        inside: Bool | None = None,
     ) -> tuple[MetLight, LightSample]:
         """All that a path vertex needs of the emitters: the light that `ray` from `ref` met at `si`, and a sample.
 
-        Lanes that aren't `active` need no sample. A lone environment is looked up once for both.
+        Lanes that aren't `active` need no sample, those that aren't `weighted` no density, and those `inside` of a
+        medium, at no surface, no light. A lone environment is looked up once for both.
         """
         if len(self.emitters) == 1 and self.emitters.plugins[0].shares_lookup:
             environment = self.emitters.groups[0].at(UInt32(0), self.lookup)
@@ -110,10 +119,16 @@ class LightSampling:
             )  # fmt: skip
             met = dr.select(si.is_valid(), 0, radiance)
             return MetLight(met, pdf), LightSample(ds, radiance * weight)
-        ds = DirectionSample3f.between(ref.p, ray, si)
-        pdf = self.pdf(ref, ds)
-        radiance = si.emitter().eval(si)
-        return MetLight(radiance, pdf), self.sample(si, sample, active)
+        ds, emitter = DirectionSample3f.between(ref.p, ray, si), si.emitter()
+        if len(self.emitters.groups) < 2 or not isinstance(self.lookup, Detached):
+            return MetLight(emitter.eval(si), self.pdf(ref, ds)), self.sample(si, sample, active)
+        # Emitters of several kinds are long code, which few packets need: most rays end on surfaces that don't emit.
+        shines = emitter.is_valid() if inside is None else emitter.is_valid() & ~inside
+        # Copies, because fields that are first read in a branch exist in it alone.
+        pdf = computed_where(shines & weighted, lambda: self.pdf(ref, ds.replaced()), label="emitter density")
+        radiance = computed_where(shines, lambda: emitter.eval(si.replaced()), label="emission")
+        light = computed_where(active, lambda: self.sample(si.replaced(), sample, active), label="light sample")
+        return MetLight(radiance, pdf), light
 
     def _emitter(self, index: UInt32) -> EmitterPtr:
         return EmitterPtr.into(Family(self.emitters, self.lookup), index)

@@ -24,6 +24,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import cache
 
 from djpt.errors import DjptError
 from djpt.jit.llvm.values import F32, F64, I1, I8, I16, I32, I64, PTR, Array, Operand, Type, Value, Variable, vector
@@ -175,7 +176,7 @@ class Function:
 
     def table(self, name: str, element: Type, numbers: Sequence[int]) -> Value:
         """The address of constant integers in memory, which the functions of a module share by their `name`."""
-        listed = ", ".join(f"{element} {integer_text(number, element.bits)}" for number in numbers)
+        listed = table_text(element, tuple(numbers))
         self.module.declare(f"@{name} = internal constant [{len(numbers)} x {element}] [{listed}], align {LINE}")
         return Value(self, PTR, f"@{name}")
 
@@ -351,6 +352,12 @@ class Module:
         left to the compiler.
         """
         return "\n".join([*self._functions, *sorted(self._declared), ""])
+
+
+@cache
+def table_text(element: Type, numbers: tuple[int, ...]) -> str:
+    """The entries of a table; kept, because a function names its tables at each use."""
+    return ", ".join(f"{element} {integer_text(number, element.bits)}" for number in numbers)
 
 
 def float_text(number: float, bits: int) -> str:

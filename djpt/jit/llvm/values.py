@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING
 
 from djpt.errors import DjptError
@@ -38,8 +39,7 @@ class Type:
     lanes: int = 0
 
     def __str__(self) -> str:
-        scalar = {"i": f"i{self.bits}", "f": "float" if self.bits == 32 else "double", "ptr": "ptr"}[self.kind]
-        return f"<{self.lanes} x {scalar}>" if self.lanes else scalar
+        return type_text(self.kind, self.bits, self.lanes)
 
     @property
     def suffix(self) -> str:
@@ -55,6 +55,13 @@ class Type:
     def element(self) -> Type:
         """The type of one lane."""
         return Type(self.kind, self.bits)
+
+
+@cache
+def type_text(kind: str, bits: int, lanes: int) -> str:
+    """A type as LLVM writes it; kept, because each instruction names some."""
+    scalar = {"i": f"i{bits}", "f": "float" if bits == 32 else "double", "ptr": "ptr"}[kind]
+    return f"<{lanes} x {scalar}>" if lanes else scalar
 
 
 I1, I8, I16, I32, I64 = (Type("i", bits) for bits in (1, 8, 16, 32, 64))

@@ -28,12 +28,22 @@ from djpt.jit.llvm.compiler import compiled
 from djpt.jit.llvm.ir import F32, I32, I64, PTR, Function, Module, Type, Value, vector
 from djpt.jit.llvm.lanes import lane_count
 from djpt.jit.types import ArrayXf, Bool, Float, Point2f, UInt32
-from djpt.rendering.schedules.job import image_channels
-from djpt.rendering.schedules.reconstruction import Read
+from djpt.rendering.schedules.job import Job, image_channels
+from djpt.rendering.schedules.reconstruction import Read, by_pixels
 from djpt.rfilters.base import ReconstructionFilter, is_wide, tap_centers
 from djpt.rfilters.tent import Tent
 
-__all__ = ["CHANNELS", "CalledSums", "Taps", "prepare_function", "prepare_sums", "reader", "tap_function", "usable"]
+__all__ = [
+    "CHANNELS",
+    "CalledSums",
+    "Taps",
+    "holds_sums",
+    "prepare_function",
+    "prepare_sums",
+    "reader",
+    "tap_function",
+    "usable",
+]
 
 ADD_SAMPLES = "add_samples"
 """The function's name."""
@@ -213,6 +223,12 @@ def usable(taps: Taps, rfilter: ReconstructionFilter) -> bool:
         and asked_for() != "steps"
         and works()
     )
+
+
+def holds_sums(job: Job) -> bool:
+    """Whether lanes can hold the sums of all pixels that their samples reach, so that no samples are stored."""
+    film, channels = job.film, job.channel_count()
+    return not film.filters or usable(Taps(film.taps, channels), film.rfilter()) or by_pixels(job, channels + 1)
 
 
 @cache

@@ -7,6 +7,7 @@ import functools
 from djpt.errors import RenderError, near_miss
 from djpt.rendering import schedules
 from djpt.rendering.schedules.base import Schedule
+from djpt.rendering.schedules.called_sums import holds_sums
 from djpt.rendering.schedules.job import Job
 
 __all__ = ["choose"]
@@ -57,8 +58,11 @@ def choose(name: str, job: Job) -> Schedule:
 def pays(name: str, job: Job) -> bool:
     """Whether a schedule that can run a job is worth while: state machines are if lanes would wait for each other.
 
-    A search that is one call leaves no lane waiting for another, nor does a flight with a closed form.
+    A search that is one call leaves no lane waiting for another, nor does a flight with a closed form. The many
+    channels of an integrator that nests another are stored faster sample by sample, if they must be.
     """
+    if name == "flat" and job.integrator.path_tracer is not job.integrator:
+        return holds_sums(job)
     if name == "machine":
         return job.scene.geometry.stepwise
     return name != "media_machine" or any(medium.is_tracked for medium in job.scene.media.plugins)

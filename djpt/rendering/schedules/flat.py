@@ -20,7 +20,7 @@ import drjit as dr
 from djpt.core.records import Ray3f
 from djpt.dispatch.ensemble import Detached
 from djpt.integrators.base import PathIntegrator, PathState
-from djpt.jit.kernels import wide
+from djpt.jit.kernels import computed_where, wide
 from djpt.jit.llvm.lanes import small_blocks
 from djpt.jit.types import Bool, Color3f, Float, Point2f, UInt32
 from djpt.rendering.schedules.base import ModeOf, Schedule
@@ -102,6 +102,8 @@ class Lane:
     """True where a held sample counts as covered."""
     offset: Point2f | None
     """The place of the sample on its pixel; None if the sink doesn't need it."""
+    aovs: list[Float]
+    """The channels that follow from the path's camera ray."""
     k: UInt32
     """The number of the path's sample, among those of its pixel."""
     sink: list[Any]
@@ -112,7 +114,7 @@ def run(job: Job, lanes: Lanes, sink: Sink) -> list[Any]:
 
     Returns the sink's state.
     """
-    integrator = job.integrator
+    integrator, derived = job.integrator.path_tracer, job.integrator.sample_channels
     assert isinstance(integrator, PathIntegrator)
     scene, width = job.scene, dr.width(lanes.pixel)
     x, y = job.coordinates(lanes.pixel)
@@ -126,9 +128,17 @@ def run(job: Job, lanes: Lanes, sink: Sink) -> list[Any]:
         held=dr.full(Bool, False, width) if several else None,
         valid=dr.full(Bool, False, width) if several else None,
         offset=offset if sink.needs_offset else None,
+        aovs=wide(job.integrator.camera_channels(scene, ray), width),
         k=wide(lanes.first, width),
         sink=sink.state,
     )
+
+    def aovs_of(lane: Lane, begun: Bool, ray: Ray3f) -> list[Float]:
+        """The channels of the camera rays of samples that have begun; of the others those that there are."""
+        if not lane.aovs:
+            return []
+        new = computed_where(begun, lambda: job.integrator.camera_channels(scene, ray.replaced()), label="aovs")
+        return [dr.select(begun, value, old) for value, old in zip(new, lane.aovs, strict=True)]
 
     def step(lane: Lane, waiting: Finished | None) -> tuple[Lane, Finished | None]:
         si = integrator.trace(scene, lane.path, lane.ray)
@@ -143,7 +153,7 @@ def run(job: Job, lanes: Lanes, sink: Sink) -> list[Any]:
         radiance = lane.radiance + here
 
         # The path has ended: hand over the sample, start the next one.
-        channels = job.channels(radiance, valid, [])
+        channels = job.channels(radiance, valid, [*derived(radiance, valid), *lane.aovs])
         state, waiting, taken = sink.take(lane.sink, waiting, channels, lane.offset, ready)
         if lane.held is not None:
             held = ready & ~taken
@@ -158,6 +168,7 @@ def run(job: Job, lanes: Lanes, sink: Sink) -> list[Any]:
             held=held,
             valid=None if held is None else valid,
             offset=None if lane.offset is None else dr.select(taken, offset, lane.offset),
+            aovs=aovs_of(lane, taken, camera_ray),
             k=dr.select(taken, next_k, lane.k),
             sink=state,
         )
@@ -209,7 +220,7 @@ def spread_called(job: Job, band: Band, memory: list[Float], rows: Rows) -> list
 def film_sums(job: Job, band: Band, begin: int, end: int, sums: list[Float] | None) -> list[Float]:
     """Add the samples begin <= k < end of a band to the film's sums by pixels, without storing them.
 
-    The result goes to `collected`: the lanes of a pixel follow each other group by group.
+    The result goes to `collected`: the lanes of a pixel stand side by side.
     """
     lanes = interleaved(job, band, begin, end)
     if sums is None:

@@ -10,7 +10,15 @@ import drjit as dr
 from djpt.jit.types import Bool, Float, Int32, UInt32
 from djpt.rendering.schedules.job import Band, Job
 
-__all__ = ["Lanes", "TiledLanes", "TiledSample", "grouped", "interleaved", "lanes_per_pixel", "layered"]
+__all__ = [
+    "Lanes",
+    "TiledLanes",
+    "TiledSample",
+    "grouped",
+    "interleaved",
+    "lanes_per_pixel",
+    "layered",
+]
 
 BLOCK = 2**14
 """The number of lanes that one thread of Dr.Jit takes at a time."""
@@ -62,14 +70,24 @@ def grouped(job: Job, band: Band, count: int) -> tuple[UInt32, UInt32]:
     return group, index - group * size + dr.opaque(UInt32, band.first_row * job.width)
 
 
+def side_by_side(job: Job, band: Band, count: int) -> tuple[UInt32, UInt32]:
+    """`count` lanes per pixel of a band, pixel by pixel: the number of the lane in its pixel, and the pixel.
+
+    The lanes of a packet then have few pixels: in small images those of a row see different things.
+    """
+    index, size = dr.arange(UInt32, band.rows * job.width * count), dr.opaque(UInt32, count)
+    pixel = index // size
+    return index - pixel * size, pixel + dr.opaque(UInt32, band.first_row * job.width)
+
+
 def interleaved(job: Job, band: Band, begin: int, end: int) -> Lanes:
-    """The samples begin <= k < end of a band, for sums that lanes carry from pass to pass.
+    """The samples begin <= k < end of a band, for sums that lanes carry from pass to pass; `side_by_side`.
 
     Lane g of a pixel owns the samples k = g modulo the number of its lanes, whatever the pass: so the
     order of additions doesn't depend on the passes.
     """
     count = lanes_per_pixel(job.width * job.height, job.spp)
-    group, pixel = grouped(job, band, count)
+    group, pixel = side_by_side(job, band, count)
     groups, start = dr.opaque(UInt32, count), dr.opaque(UInt32, begin)
     # The first k >= begin with k = group modulo `groups`, a power of two.
     first = start + ((group - start) & (groups - 1))

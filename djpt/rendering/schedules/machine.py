@@ -88,7 +88,8 @@ class Lane:
 
 def run(job: Job, lanes: TiledLanes, write: Write) -> UInt32:
     """Advance all lanes until their samples are written; returns a number to evaluate."""
-    integrator, scene, width = job.integrator, job.scene, lanes.count
+    integrator, derived = job.integrator.path_tracer, job.integrator.sample_channels
+    scene, width = job.scene, lanes.count
     assert isinstance(integrator, PathIntegrator)
     geometry = scene.geometry
     first = lanes.at(lanes.first)
@@ -129,7 +130,8 @@ def run(job: Job, lanes: TiledLanes, write: Write) -> UInt32:
         state = dr.select(shadow, lane.path, v.state)
         ended = ~lit & ~active
         here = lanes.at(lane.entry)
-        store(write, here.slot, job.channels(radiance, valid, []), ended & here.exists)
+        channels = job.channels(radiance, valid, derived(radiance, valid))
+        store(write, here.slot, channels, ended & here.exists)
 
         entry = lanes.next(lane.entry, ended)
         sample = lanes.at(entry)

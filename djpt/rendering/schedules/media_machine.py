@@ -104,9 +104,10 @@ class Walk:
     """The walks of all lanes through their samples."""
 
     def __init__(self, job: Job, lanes: TiledLanes, write: Write) -> None:
-        assert isinstance(job.integrator, VolumetricPath)
+        integrator = job.integrator.path_tracer
+        assert isinstance(integrator, VolumetricPath)
         self._job, self._lanes, self._write = job, lanes, write
-        self._scene, self._integrator = job.scene, job.integrator
+        self._scene, self._integrator, self._derived = job.scene, integrator, job.integrator.sample_channels
         self._trackers = Trackers(job.scene.media)
         self._surfaces = null_surfaces(job.scene)
 
@@ -199,7 +200,8 @@ class Walk:
         state = dr.select(shadow, path, v.state)
         ended = ~on & ~active
         here = lanes.at(lane.entry)
-        store(self._write, here.slot, job.channels(radiance, valid, []), ended & here.exists)
+        channels = job.channels(radiance, valid, self._derived(radiance, valid))
+        store(self._write, here.slot, channels, ended & here.exists)
         entry = lanes.next(lane.entry, ended)
         sample = lanes.at(entry)
         fresh, camera_ray, _ = job.begin(sample.pixel, sample.k, sample.x, sample.y)

@@ -210,14 +210,13 @@ def ends_here(job: Job) -> bool:
 
 
 def total(job: Job, band: Band, sums: list[Float]) -> list[Float]:
-    """The sums of a band's pixels, each added up over its lanes."""
+    """The sums of a band's pixels, each added up over its lanes, which stand side by side."""
     pixels = band.rows * job.width
-    groups = dr.width(sums[0]) // pixels
-    count, pixel = dr.opaque(UInt32, groups), dr.arange(UInt32, pixels)
-    stride = dr.opaque(UInt32, pixels)
+    count = dr.opaque(UInt32, dr.width(sums[0]) // pixels)
+    first = dr.arange(UInt32, pixels) * count
 
     def body(g: UInt32, out: list[Float]) -> tuple[UInt32, list[Float]]:
-        return g + 1, [o + dr.gather(Float, s, dr.fma(g, stride, pixel)) for o, s in zip(out, sums, strict=True)]
+        return g + 1, [o + dr.gather(Float, s, first + g) for o, s in zip(out, sums, strict=True)]
 
     start = [dr.opaque(Float, 0, pixels) for _ in sums]
     _, result = while_loop((dr.zeros(UInt32, pixels), start), lambda g, out: g < count, body, label="total")

@@ -207,6 +207,7 @@ Read = Callable[[UInt32, int, Bool], Sums]
 def collect(job: Job, band: Band, lanes: int, read: Callable[[int], Read], rows_in_reach: Rows) -> Sums:
     """Add to each pixel in a band's reach what the `lanes` of the band's pixels around it hold for it.
 
+    The lanes of a pixel stand side by side.
     `read` gives how the sums for a row tap are read. All row taps have the same kernel, which is soon compiled; where
     it is launched again and again, one kernel for all of them is faster.
     """
@@ -224,20 +225,20 @@ def collect_row(job: Job, band: Band, lanes: int, read: Read, below: int, place:
     taps, pixels = job.film.taps, band.rows * job.width
     _, column, row, _ = pixels_of(job, Band(place.first_row, place.count))
     width, rows = Int32(job.width_value), dr.opaque(Int32, band.rows)
-    size, end = dr.opaque(UInt32, pixels), dr.opaque(UInt32, lanes)
+    count = dr.opaque(UInt32, lanes // pixels)
     y = row - dr.opaque(Int32, below + band.first_row)
 
-    def body(start: UInt32, image: Sums) -> tuple[UInt32, Sums]:
+    def body(g: UInt32, image: Sums) -> tuple[UInt32, Sums]:
         result = list(image)
         for i in reversed(range(taps)):
             x = column - (i - taps // 2)
             inside = (x >= 0) & (x < width) & (y >= 0) & (y < rows)
-            parts = read(start + UInt32(y * width + x), i, inside)
+            parts = read(dr.fma(UInt32(y * width + x), count, g), i, inside)
             result = [total + part for total, part in zip(result, parts, strict=True)]
-        return start + size, result
+        return g + 1, result
 
     start = dr.zeros(UInt32, dr.width(column))
-    _, result = while_loop((start, list(image)), lambda start, image: start < end, body, label="film spread")
+    _, result = while_loop((start, list(image)), lambda g, image: g < count, body, label="film spread")
     return result
 
 

@@ -65,6 +65,11 @@ DONE, LEAVE = 0xFFFFFFFF, 0xFFFFFFFE
 NOWHERE = 0xFFFFFFFF
 """The distance, as bits, of what isn't on the way: of children that are missed, and of `DONE` and `LEAVE`. A NaN."""
 
+LANES_OF_MASKS = [
+    int.from_bytes(bytes(k for k in range(CHILDREN) if mask >> k & 1), "little") for mask in range(1 << CHILDREN)
+]
+"""For each mask of eight lanes the numbers of those that are set, a byte each."""
+
 SLACK = 24
 """Entries that stacks have beyond those that count: a vector is written whole, and stacks whose distance were a
 multiple of 1 KiB would compete for the same lines of the cache."""
@@ -346,9 +351,7 @@ class RingSearch:
     def compressed(self, words: Value, bits: Value) -> Value:
         """The words of the lanes that are set in a mask, one after the other; unspecified behind them."""
         f = self.f
-        # For each of the 256 masks the numbers of its lanes, in bytes.
-        lanes = [[k for k in range(CHILDREN) if mask >> k & 1] for mask in range(1 << CHILDREN)]
-        orders = f.table("lanes_of_masks", I64, [int.from_bytes(bytes(order), "little") for order in lanes])
+        orders = f.table("lanes_of_masks", I64, LANES_OF_MASKS)
         order = f.load(vector(I8, CHILDREN), orders.at((bits & 0xFF).to(I64) * 8), align=8)
         return f.intrinsic("x86.avx2.permd", [words, order.to(WORDS)], WORDS, suffix="")
 
