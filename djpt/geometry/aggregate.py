@@ -19,7 +19,6 @@ from djpt.core.frame import Frame3f
 from djpt.core.lookup import Numbers, is_one_of
 from djpt.core.records import RAY_EPSILON, PreliminaryIntersection3f, Ray3f
 from djpt.dispatch.ensemble import Ensemble, Lookup
-from djpt.geometry.bvh.calls.layout import MEDIA
 from djpt.geometry.query import ANALYTIC, FACE, NONE, Cursor, Near, Query, recentre
 from djpt.geometry.unrolled import Unrolled
 from djpt.jit.kernels import as_vector
@@ -502,6 +501,8 @@ class MeasuredMedia:
         triangles = geometry.triangles
         if triangles is None or not triangles.can_measure or triangles.null_meshes.count != sum(null):
             return
+        from djpt.geometry.bvh.calls.layout import MEDIA
+
         numbered = triangles.null_meshes.media
         others = [medium for medium in media if not any(medium is other for other in numbered)]
         every = [*numbered, *others]

@@ -155,7 +155,7 @@ def test_errors_name_the_cause() -> None:
     with pytest.raises(ParameterError, match="unknown parameter"):
         optimize(scene, "paint.colour", targets)
     with pytest.raises(ParameterError, match="has no derivatives"):
-        optimize(scene, "left.x_fov", targets)
+        optimize(scene, "left.near_clip", targets)
     with pytest.raises(ParameterError, match="lower bound"):
         optimize(scene, KEY, targets, bounds=(1, 0))
     with pytest.raises(ParameterError, match="sigmoid"):

@@ -316,20 +316,21 @@ def spread(job: TileJob, groups: int, read: Any, sums: list[Float]) -> list[Floa
     columns = dr.minimum(Int32(job.width_value), Int32(job._last[0] + 1 - left))
     rows = dr.minimum(Int32(job._height), Int32(job._last[1] + 1 - top))
     width, first = Int32(job.width_value), Int32(entry * job._height)
-    size, end = dr.opaque(UInt32, job.width * job.height), dr.opaque(UInt32, groups * job.width * job.height)
+    count = dr.opaque(UInt32, groups)
     for j in range(taps):
         tap, y = read(j), line - dr.opaque(Int32, j)
 
-        def body(start: UInt32, sums: list[Float], tap: Read = tap, y: Int32 = y) -> tuple[UInt32, list[Float]]:
+        def body(group: UInt32, sums: list[Float], tap: Read = tap, y: Int32 = y) -> tuple[UInt32, list[Float]]:
             result = list(sums)
             for i in range(taps):
                 x = column - i
                 inside = (x >= 0) & (x < columns) & (y >= 0) & (y < rows)
-                parts = tap(start + UInt32((first + y) * width + x), i, inside)
+                # The lanes of a pixel stand side by side.
+                parts = tap(dr.fma(UInt32((first + y) * width + x), count, group), i, inside)
                 result = [total + part for total, part in zip(result, parts, strict=True)]
-            return start + size, result
+            return group + 1, result
 
         start = dr.zeros(UInt32, dr.width(index))
-        _, sums = while_loop((start, sums), lambda start, sums: start < end, body, label="tile spread")
+        _, sums = while_loop((start, sums), lambda group, sums: group < count, body, label="tile spread")
     dr.eval(sums)
     return sums
