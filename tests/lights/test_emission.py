@@ -312,7 +312,7 @@ def test_direct_traces_no_bsdf_samples_that_can_meet_no_light(monkeypatch: pytes
     monkeypatch.setattr(BSDFPtr, "sample", refuse)
     description = box(4, "box", {"type": "direct", "shading_samples": 2}, lights("point"))
     # Dr.Jit wraps what is raised within a loop.
-    with pytest.raises((AssertionError, RuntimeError), match="sampled|encountered an exception"):
+    with pytest.raises((AssertionError, RuntimeError), match=r"sampled|encountered an exception"):
         djpt.render(djpt.load_dict(description), spp=1)
     for key in [key for key, node in description.items() if isinstance(node, dict) and "emitter" in node]:
         del description[key]
