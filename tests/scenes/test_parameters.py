@@ -64,7 +64,7 @@ def test_names_are_mitsubas(mi: Any) -> None:
         if key.startswith(("small-box.vertex_", "large-box.vertex_")):
             # Mitsuba's mark says that AD reaches the vertices; here nothing follows the edges of boxes.
             flags |= non_differentiable
-        if key.endswith((".x_fov", ".principal_point_offset_x", ".principal_point_offset_y")):
+        if key.startswith(("sensor.", "second.")) and key.endswith((".x_fov", "_offset_x", "_offset_y", ".to_world")):
             # Cameras can be differentiated here; what they see jumps at edges.
             flags = discontinuous
         assert bool(ours.flags(key).differentiable) == (flags & non_differentiable == 0), key
