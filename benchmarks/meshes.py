@@ -103,7 +103,9 @@ def query_rows(folder: Path, pairs: int) -> Iterator[Row]:
         for query, (required, aim) in (("ray_intersect_preliminary", closest), ("ray_test", any_hit)):
             ratios, times = in_pairs(
                 lambda seed, query=query, rays=rays: getattr(ours, query)(rays[0]),
-                lambda seed, query=query, rays=rays, coherent=coherent: getattr(theirs, query)(rays[1], coherent),
+                lambda seed, query=query, rays=rays, coherent=coherent: getattr(theirs, query)(
+                    rays[1], coherent=coherent
+                ),
                 pairs,
             )
             yield Row(f"{query}, {o.shape[1]} {kind}", required, aim, ratios, times)

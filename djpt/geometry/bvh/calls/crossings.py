@@ -43,7 +43,7 @@ NUMBER = (1 << MEDIUM_BITS) - 1
 def crossing_function(width: int, features: Features) -> str:
     """The function for packets of `width` rays, in LLVM's language; no scene with instances has one.
 
-    Its parameters are those of `djpt.geometry.bvh.calls.traversal.packet_functions`. The flags of a ray hold the number
+    Its parameters are those of `djpt.geometry.bvh.calls.traversal.packet_function`. The flags of a ray hold the number
     of the medium in which it begins, above `MEDIUM_BITS` other bits. The results are the lengths
     through media 1 to `MEDIA`, and 0 in the array INSIDE. For rays that are blocked it is 1, and lengths are 0.
     """

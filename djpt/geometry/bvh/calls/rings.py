@@ -46,7 +46,7 @@ from djpt.geometry.bvh.calls.layout import (
     ROW_BYTES,
 )
 from djpt.geometry.bvh.calls.ray import ROW, BoxRay, Features, Placed, PlaneRay, RayTerms, TriangleTest, Triple
-from djpt.geometry.bvh.calls.traversal import ANY, B1, B2, BLOCKED, CLOSEST, FIELDS, INSIDE, RECORD, STACK
+from djpt.geometry.bvh.calls.traversal import ANY, B1, B2, BLOCKED, FIELDS, INSIDE, RECORD, STACK, name_of
 from djpt.geometry.bvh.steps.records import SOLID
 from djpt.geometry.canonical import PIECE, hit_kind
 from djpt.geometry.query import DETAIL, LABEL, RADII
@@ -54,7 +54,7 @@ from djpt.jit.llvm import arithmetic
 from djpt.jit.llvm.arithmetic import bit_count, lowest_bit, minimum, select
 from djpt.jit.llvm.ir import F32, I1, I8, I16, I32, I64, LINE, PTR, Function, Module, Type, Value, vector
 
-__all__ = ["RingSearch", "ring_functions"]
+__all__ = ["RingSearch", "ring_function"]
 
 WORDS, HALVES, MASK = vector(I32, CHILDREN), vector(I16, CHILDREN), vector(I1, CHILDREN)
 """Integers of 32 and 16 bits, and conditions, for each child of a node or triangle of a leaf."""
@@ -75,19 +75,18 @@ SLACK = 24
 multiple of 1 KiB would compete for the same lines of the cache."""
 
 
-def ring_functions(width: int, features: Features) -> str:
-    """The functions for packets of `width` rays, in LLVM's language.
+def ring_function(kind: str, width: int, features: Features) -> str:
+    """The search of a kind for packets of `width` rays, in LLVM's language.
 
-    They have the names and parameters of `djpt.geometry.bvh.calls.traversal.packet_functions`. The processor must have
-    AVX2, and `width` be a power of two.
+    It has the name and parameters of `djpt.geometry.bvh.calls.traversal.packet_function`. The processor must have AVX2,
+    and `width` be a power of two.
     """
     module = Module()
-    for kind in (ANY, CLOSEST):
-        parameters = [("valid", PTR), ("scene", PTR), ("context", PTR), ("rays", PTR)]
-        with module.function(f"{kind}_of_packet", parameters) as f:
-            if not features.placed:
-                CoherentSearch(f, kind == ANY, features, width).build()
-            RingSearch(f, kind == ANY, features, width).build()
+    parameters = [("valid", PTR), ("scene", PTR), ("context", PTR), ("rays", PTR)]
+    with module.function(name_of(kind), parameters) as f:
+        if not features.placed:
+            CoherentSearch(f, kind == ANY, features, width).build()
+        RingSearch(f, kind == ANY, features, width).build()
     return module.text()
 
 

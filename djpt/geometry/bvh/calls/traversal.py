@@ -39,14 +39,13 @@ from djpt.jit.llvm.ir import F32, I8, I32, I64, LINE, PTR, Function, Loop, Modul
 
 __all__ = [
     "ANY",
-    "ANY_OF_PACKET",
     "CLOSEST",
-    "CLOSEST_OF_PACKET",
     "FIELDS",
     "Hit",
     "Rays",
     "add_search",
-    "packet_functions",
+    "name_of",
+    "packet_function",
 ]
 
 CLOSEST, ANY = "closest", "any"
@@ -365,8 +364,10 @@ class Search:
 # ---- packets -----------------------------------------------------------------------------------------------------
 
 
-CLOSEST_OF_PACKET, ANY_OF_PACKET = f"{CLOSEST}_of_packet", f"{ANY}_of_packet"
-"""The functions' names."""
+def name_of(kind: str) -> str:
+    """The name of the function that searches for packets."""
+    return f"{kind}_of_packet"
+
 
 B1, B2, RECORD, INSIDE = 15, 16, 17, 18
 """The arrays for the closest hit, with `maxt` for its distance. A value in INSIDE tells Dr.Jit that there is one."""
@@ -375,14 +376,15 @@ BLOCKED = float("-inf")
 """The `maxt` of a ray that is blocked, for Dr.Jit."""
 
 
-def packet_functions(width: int, features: Features) -> str:
-    """The functions for packets of `width` rays, in LLVM's language."""
+def packet_function(kind: str, width: int, features: Features) -> str:
+    """The search of a kind for packets of `width` rays, in LLVM's language."""
     module = Module()
-    for kind in (ANY, CLOSEST):
-        add_search(module, kind, features, width)
-        parameters = [("valid", PTR), ("scene", PTR), ("context", PTR), ("rays", PTR)]
-        with module.function(f"{kind}_of_packet", parameters) as f:
-            Packet(f, width).search(kind)
+    # Any hit may be enough for single rays of a packet that looks for the closest.
+    for needed in (ANY,) if kind == ANY else (ANY, CLOSEST):
+        add_search(module, needed, features, width)
+    parameters = [("valid", PTR), ("scene", PTR), ("context", PTR), ("rays", PTR)]
+    with module.function(name_of(kind), parameters) as f:
+        Packet(f, width).search(kind)
     return module.text()
 
 

@@ -21,8 +21,8 @@ from djpt.geometry.bvh.build.wide import REBUILD
 from djpt.geometry.bvh.calls.crossings import LENGTHS_OF_PACKET, crossing_function
 from djpt.geometry.bvh.calls.layout import ANY_HIT, EXTENT_WORD, MEDIUM_BITS, PASSES_LIGHTS, REFERENCE, ROW_WORDS
 from djpt.geometry.bvh.calls.ray import Features
-from djpt.geometry.bvh.calls.rings import ring_functions
-from djpt.geometry.bvh.calls.traversal import ANY_OF_PACKET, CLOSEST_OF_PACKET, packet_functions
+from djpt.geometry.bvh.calls.rings import ring_function
+from djpt.geometry.bvh.calls.traversal import ANY, CLOSEST, name_of, packet_function
 from djpt.geometry.bvh.leaves import Extent, MeshPart, PlacedLeaves
 from djpt.geometry.query import NONE, Found, enter
 from djpt.jit.kernels import aligned, as_float, as_vector, float_in
@@ -219,7 +219,7 @@ def flags_of(any_hit: Bool | None, through_lights: Bool | None) -> UInt32:
 # ---- compiled functions ------------------------------------------------------------------------------------------
 
 
-SEARCHES: dict[str, Callable[[int, Features], str]] = {"rings": ring_functions, "call": packet_functions}
+SEARCHES: dict[str, Callable[[str, int, Features], str]] = {"rings": ring_function, "call": packet_function}
 """The searches in LLVM's language, the fastest first: of the rays of a packet side by side, or one after the other."""
 
 
@@ -238,8 +238,15 @@ def functions(features: Features, search: str, measures: bool = False) -> Functi
 @cache
 def addresses(features: Features, search: str) -> tuple[int, int]:
     """Where the functions for the closest hit and for any hit are in memory."""
-    found = compiled(SEARCHES[search](lane_count(), features), (CLOSEST_OF_PACKET, ANY_OF_PACKET))
-    return found[CLOSEST_OF_PACKET], found[ANY_OF_PACKET]
+    width = lane_count()
+    target()  # for which other threads may not be able to ask
+
+    def address(kind: str) -> int:
+        return compiled(SEARCHES[search](kind, width, features), (name_of(kind),))[name_of(kind)]
+
+    with ThreadPoolExecutor(2) as team:
+        closest, any_hit = team.map(address, (CLOSEST, ANY))
+    return closest, any_hit
 
 
 @cache
