@@ -27,7 +27,7 @@ class ShadowEdges:
     normal, t its tangent, d the direction to the light, which arrives at y with the irradiance E, x the point in shadow
     behind, from which the importance W arrives, and s the fraction of the way from x to the light that y lies at,
 
-        dI = -W E <y' - (1 - s) x', n> |t x d| dl,    s = 0 in parallel light.
+        dI = -W E <y' - (1 - s) x', n> length(t x d) dl,    s = 0 in parallel light.
     """
 
     def __init__(self, scene: Any, light: Any) -> None:
