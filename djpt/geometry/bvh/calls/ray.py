@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from typing import NamedTuple
 
-from djpt.geometry.bvh.calls.layout import CHILDREN, PASSES_LIGHTS, ROW_BYTES, ROW_WORDS
-from djpt.geometry.bvh.steps.records import EMITS, ONE_SIDED
-from djpt.geometry.query import LABEL, NORMAL
+from djpt.geometry.bvh.calls.layout import CHILDREN, PASSES_LIGHTS, REFERENCE, ROW_BYTES, ROW_WORDS
+from djpt.geometry.bvh.steps.records import EMITS, ONE_SIDED, SOLID
+from djpt.geometry.canonical import PIECE, hit_kind
+from djpt.geometry.query import LABEL, NORMAL, RADII
+from djpt.jit.llvm import arithmetic
 from djpt.jit.llvm.arithmetic import abs, copysign, fma, maximum, minimum, select
 from djpt.jit.llvm.ir import F32, I32, I64, Function, Type, Value, vector
 
@@ -212,6 +214,33 @@ class Placed:
     def __init__(self, f: Function, scene: Value, record: Value) -> None:
         self._f, self._scene, self.record = f, scene, record
         self._address = scene.at(record.to(I64) * ROW_BYTES).at(-ROW_BYTES)
+
+    @staticmethod
+    def of(f: Function, scene: Value, reference: Value) -> Placed:
+        """The primitive of a reference in the world's tree."""
+        return Placed(f, scene, (reference & REFERENCE) * 2 + f.load(I32, scene.at(4)))
+
+    def visit(self, features: Features, solid: Callable[[], None], instance: Callable[[], None]) -> None:
+        """Build the visit of a solid, of an instance, or a branch between them if the scene has both."""
+        if not features.kinds:
+            instance()
+        elif not features.instances:
+            solid()
+        else:
+            with self._f.either((self.word(LABEL) & SOLID) != 0) as branch:
+                solid()
+                branch.otherwise()
+                instance()
+
+    def hits(self, kinds: Sequence[int], kind: Value, o: Triple, d: Triple) -> Iterator[tuple[Value, Value]]:
+        """Whether and where a ray in the primitive's space hits a solid, for each of the scene's `kinds`.
+
+        What is built before the next one runs for solids of that kind alone.
+        """
+        for k in kinds:
+            with self._f.when(kind >= k if k == PIECE else kind == k):
+                radii = [self.float(RADII + end) for end in range(2)] if k == PIECE else []
+                yield hit_kind(arithmetic, k, o, d, radii)
 
     def word(self, index: int) -> Value:
         """A whole number of the record."""

@@ -47,10 +47,7 @@ from djpt.geometry.bvh.calls.layout import (
 )
 from djpt.geometry.bvh.calls.ray import ROW, BoxRay, Features, Placed, PlaneRay, RayTerms, TriangleTest, Triple
 from djpt.geometry.bvh.calls.traversal import ANY, B1, B2, BLOCKED, FIELDS, INSIDE, RECORD, STACK, name_of
-from djpt.geometry.bvh.steps.records import SOLID
-from djpt.geometry.canonical import PIECE, hit_kind
-from djpt.geometry.query import DETAIL, LABEL, RADII
-from djpt.jit.llvm import arithmetic
+from djpt.geometry.query import DETAIL
 from djpt.jit.llvm.arithmetic import bit_count, lowest_bit, minimum, select
 from djpt.jit.llvm.ir import F32, I1, I8, I16, I32, I64, LINE, PTR, Function, Module, Type, Value, vector
 
@@ -488,18 +485,14 @@ class RingSearch:
 
     def visit_placed(self, lane: Value, reference: Value) -> None:
         """Enter an instance, or test an analytic solid."""
-        placed = Placed(self.f, self.scene, (reference & REFERENCE) * 2 + self.f.load(I32, self.scene.at(4)))
+        placed = Placed.of(self.f, self.scene, reference)
         o, d = placed.into(*self.in_world(lane))
         detail = placed.word(DETAIL)
-        if not self.features.kinds:
-            self.enter_instance(lane, placed, detail, o, d)
-        elif not self.features.instances:
-            self.visit_solid(lane, placed, detail, o, d)
-        else:
-            with self.f.either((placed.word(LABEL) & SOLID) != 0) as branch:
-                self.visit_solid(lane, placed, detail, o, d)
-                branch.otherwise()
-                self.enter_instance(lane, placed, detail, o, d)
+        placed.visit(
+            self.features,
+            lambda: self.visit_solid(lane, placed, detail, o, d),
+            lambda: self.enter_instance(lane, placed, detail, o, d),
+        )
 
     def enter_instance(self, lane: Value, placed: Placed, row: Value, o: Triple, d: Triple) -> None:
         """Let a ray begin at the root of an instance's group, whose tree starts at a row, and come back."""
@@ -517,17 +510,14 @@ class RingSearch:
     def visit_solid(self, lane: Value, placed: Placed, kind: Value, o: Triple, d: Triple) -> None:
         """Test a solid of one of the scene's kinds."""
         f, features = self.f, self.features
-        for k in features.kinds:
-            with f.when(kind >= k if k == PIECE else kind == k):
-                radii = [placed.float(RADII + end) for end in range(2)] if k == PIECE else []
-                hit, t = hit_kind(arithmetic, k, o, d, radii)
-                hit = hit & (t > 0.0) & (t < self.maxt(lane))
-                if features.lights:
-                    flags = f.load(I32, self.number("flags", lane))
-                    hit = hit & ~features.passed(f, self.scene, placed.record, flags)
-                with f.when(hit):
-                    if self.any_hit:
-                        self.block(lane)
-                    else:
-                        nothing = f.constant(F32, 0.0)
-                        self.note(lane, t, (nothing, nothing), placed.record)
+        for hit, t in placed.hits(features.kinds, kind, o, d):
+            counts = hit & (t > 0.0) & (t < self.maxt(lane))
+            if features.lights:
+                flags = f.load(I32, self.number("flags", lane))
+                counts = counts & ~features.passed(f, self.scene, placed.record, flags)
+            with f.when(counts):
+                if self.any_hit:
+                    self.block(lane)
+                else:
+                    nothing = f.constant(F32, 0.0)
+                    self.note(lane, t, (nothing, nothing), placed.record)

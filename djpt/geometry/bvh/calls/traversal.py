@@ -30,10 +30,7 @@ from djpt.geometry.bvh.calls.layout import (
     ROW_BYTES,
 )
 from djpt.geometry.bvh.calls.ray import BoxRay, Features, Placed, PlaneRay, RayTerms, TriangleTest, Triple
-from djpt.geometry.bvh.steps.records import SOLID
-from djpt.geometry.canonical import PIECE, hit_kind
-from djpt.geometry.query import DETAIL, LABEL, RADII
-from djpt.jit.llvm import arithmetic
+from djpt.geometry.query import DETAIL
 from djpt.jit.llvm.arithmetic import any_of, lowest_bit, select
 from djpt.jit.llvm.ir import F32, I8, I32, I64, LINE, PTR, Function, Loop, Module, Type, Value, Variable, vector
 
@@ -304,19 +301,14 @@ class Search:
 
     def visit_placed(self, child: Value) -> None:
         """Go into an instance, or test an analytic solid."""
-        record = (child & REFERENCE) * 2 + self.f.load(I32, self.scene.at(4))
-        placed = Placed(self.f, self.scene, record)
+        placed = Placed.of(self.f, self.scene, child)
         o, d = placed.into(self.ray.o, self.ray.d)
         detail = placed.word(DETAIL)
-        if not self.features.kinds:
-            self.visit_instance(placed, detail, o, d)
-        elif not self.features.instances:
-            self.visit_solid(placed, detail, o, d)
-        else:
-            with self.f.either((placed.word(LABEL) & SOLID) != 0) as branch:
-                self.visit_solid(placed, detail, o, d)
-                branch.otherwise()
-                self.visit_instance(placed, detail, o, d)
+        placed.visit(
+            self.features,
+            lambda: self.visit_solid(placed, detail, o, d),
+            lambda: self.visit_instance(placed, detail, o, d),
+        )
 
     def visit_instance(self, placed: Placed, root: Value, o: Triple, d: Triple) -> None:
         """Search the group's tree, whose block begins at the row `root`."""
@@ -338,18 +330,15 @@ class Search:
     def visit_solid(self, placed: Placed, kind: Value, o: Triple, d: Triple) -> None:
         """Test a solid of one of the scene's kinds."""
         f = self.f
-        for k in self.features.kinds:
-            with f.when(kind >= k if k == PIECE else kind == k):
-                radii = [placed.float(RADII + end) for end in range(2)] if k == PIECE else []
-                hit, t = hit_kind(arithmetic, k, o, d, radii)
-                hit = hit & (t > 0.0) & (t < self.reach.value)
-                if self.features.lights:
-                    hit = hit & ~self.passed(placed.record)
-                with f.when(hit):
-                    if self.any_hit:
-                        f.give(1)
-                    else:
-                        self.note(t, placed.record)
+        for hit, t in placed.hits(self.features.kinds, kind, o, d):
+            counts = hit & (t > 0.0) & (t < self.reach.value)
+            if self.features.lights:
+                counts = counts & ~self.passed(placed.record)
+            with f.when(counts):
+                if self.any_hit:
+                    f.give(1)
+                else:
+                    self.note(t, placed.record)
 
     def note(self, t: Value, record: Value) -> None:
         """Note the hit of a solid as the closest."""
