@@ -6,13 +6,14 @@ compiles from IR.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import reduce
 
 from djpt.jit.llvm.ir import I1, I32, Function, Operand, Type, Value
 
 __all__ = [
     "abs",
+    "across_lanes",
     "all_of",
     "any_of",
     "bit_count",
@@ -82,6 +83,15 @@ def maximum(a: Operand, b: Operand) -> Value:
 def smallest(values: Sequence[Value]) -> Value:
     """The smallest of several numbers."""
     return reduce(minimum, values)
+
+
+def across_lanes(x: Value, choose: Callable[[Value, Value], Value]) -> Value:
+    """`minimum` or `maximum` of all lanes, in all lanes; their number is a power of two."""
+    step = x.type.lanes // 2
+    while step:
+        x = choose(x, x.shuffled([k ^ step for k in range(x.type.lanes)]))
+        step //= 2
+    return x
 
 
 def any_of(mask: Value) -> Value:

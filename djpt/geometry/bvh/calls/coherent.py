@@ -27,9 +27,9 @@ from djpt.geometry.bvh.calls.layout import (
     ROOT,
     ROW_BYTES,
 )
-from djpt.geometry.bvh.calls.ray import ROW, Features, RayTerms, TriangleTest
-from djpt.geometry.bvh.calls.traversal import B1, B2, BLOCKED, FIELDS, INSIDE, RECORD, STACK
-from djpt.jit.llvm.arithmetic import abs, any_of, bit_count, fma, lowest_bit, maximum, minimum, select
+from djpt.geometry.bvh.calls.ray import ROW, Features, RayTerms, TriangleTest, overlap
+from djpt.geometry.bvh.calls.traversal import B1, B2, BLOCKED, FIELDS, INSIDE, RECORD, STACK, lines_of
+from djpt.jit.llvm.arithmetic import abs, across_lanes, any_of, bit_count, fma, lowest_bit, maximum, minimum, select
 from djpt.jit.llvm.ir import F32, I1, I8, I32, I64, LINE, Function, Loop, Type, Value, vector
 
 __all__ = ["CoherentSearch"]
@@ -57,7 +57,7 @@ class CoherentSearch:
         self.f, self.any_hit, self.features, self.width = f, any_hit, features, width
         self.valid, self.scene, _, self.rays = f.parameters
         self.row, self.words = vector(F32, width), vector(I32, width)
-        self.o, self.d = ([self.array(FIELDS[part] + axis) for axis in range(3)] for part in "od")
+        self.o, self.d = lines_of(self.rays, width)
         self.terms = RayTerms.of(self.o, self.d)
         self.active = f.load(self.words, self.valid, align=4) != 0
 
@@ -100,7 +100,7 @@ class Beam:
 
         def ends(x: Value) -> tuple[Value, Value]:
             low, high = (select(search.active, x, end) for end in (float("inf"), float("-inf")))
-            return reduced(low, minimum), reduced(high, maximum)
+            return across_lanes(low, minimum).lane(0), across_lanes(high, maximum).lane(0)
 
         self.inverse = [[end.spread(CHILDREN) for end in ends(x)] for x in search.terms.inverse]
         ranges = [ends(x) for x in search.o]
@@ -142,7 +142,7 @@ class PacketSearch:
         self.maxt = f.variable(self.row, packet.array("maxt"))
         self.limit = f.variable(self.row, select(packet.active, self.maxt.value, float("-inf")))
         """Where each ray ends, or its closest hit; negative where no hit is wanted any more."""
-        self.reach = f.variable(F32, reduced(self.limit.value, maximum))
+        self.reach = f.variable(F32, across_lanes(self.limit.value, maximum).lane(0))
         """The largest of the limits."""
         self.hits = (
             []
@@ -222,9 +222,7 @@ class PacketSearch:
             planes = [f.load(F32, node.at(rows[a]).at(slot)).spread(width) for a in range(3)]
             return [fma(planes[a], terms.inverse[a], terms.shift[a]) for a in range(3)]
 
-        near, far = distances(self.near), distances(self.far)
-        entry = maximum(maximum(near[0], near[1]), maximum(near[2], 0.0))
-        return entry, entry <= minimum(minimum(far[0], far[1]), minimum(far[2], self.limit.value))
+        return overlap(distances(self.near), distances(self.far), self.limit.value)
 
     def push(self, reference: Value, distance: Value) -> None:
         """Let a child wait."""
@@ -268,20 +266,16 @@ class PacketSearch:
                 hit = hit & ~self.passes(record)
                 triangles.again_if(~any_of(hit))
             self.note(hit, t, weights, record, search)
-        self.reach.value = reduced(self.limit.value, maximum)
+        self.reach.value = across_lanes(self.limit.value, maximum).lane(0)
 
     def test(self, leaf: Value, slot: Value) -> TriangleTest:
         """Test one triangle with all rays."""
-        f, terms, width = self.f, self.terms, self.packet.width
-        sheared, heights = [], []
-        for corner in range(3):
-            x, y, z = (
-                f.load(F32, leaf.at(self.axes[k]).at(3 * ROW_BYTES * corner).at(slot)).spread(width) - terms.origin[k]
-                for k in range(3)
-            )
-            sheared.append((fma(terms.shear[0], z, x), fma(terms.shear[1], z, y)))
-            heights.append(z)
-        return TriangleTest.of(sheared, heights, terms.shear[2])
+        f, width = self.f, self.packet.width
+
+        def coordinate(corner: int, axis: Value) -> Value:
+            return f.load(F32, leaf.at(axis).at(3 * ROW_BYTES * corner).at(slot)).spread(width)
+
+        return TriangleTest.of(coordinate, self.axes, self.terms.origin, self.terms.shear)
 
     def passes(self, record: Value) -> Value:
         """The rays that pass through the triangle at a record."""
@@ -307,12 +301,3 @@ class PacketSearch:
         self.maxt.value = select(hit, t, self.maxt.value)
         ends = select((self.flags & ANY_HIT) != 0, float("-inf"), t)
         self.limit.value = select(hit, ends, self.limit.value)
-
-
-def reduced(x: Value, choose: Callable[[Value, Value], Value]) -> Value:
-    """The least or largest lane of a vector."""
-    step = x.type.lanes // 2
-    while step:
-        x = choose(x, x.shuffled([k ^ step for k in range(x.type.lanes)]))
-        step //= 2
-    return x.lane(0)

@@ -21,10 +21,10 @@ from dataclasses import replace
 from djpt.geometry.bvh.calls.layout import BOUNDS, CHILDREN, MEDIA, MEDIUM_BITS, ROOT, ROW_BYTES
 from djpt.geometry.bvh.calls.ray import Features
 from djpt.geometry.bvh.calls.rings import RingSearch
-from djpt.geometry.bvh.calls.traversal import B1, B2, FIELDS, INSIDE, RECORD
+from djpt.geometry.bvh.calls.traversal import B1, B2, FIELDS, INSIDE, PACKET, RECORD
 from djpt.geometry.query import NORMAL
 from djpt.jit.llvm.arithmetic import fma, lowest_bit, select
-from djpt.jit.llvm.ir import F32, I32, I64, PTR, Function, Module, Value
+from djpt.jit.llvm.ir import F32, I32, I64, Function, Module, Value
 
 __all__ = ["LENGTHS_OF_PACKET", "crossing_function"]
 
@@ -48,8 +48,7 @@ def crossing_function(width: int, features: Features) -> str:
     through media 1 to `MEDIA`, and 0 in the array INSIDE. For rays that are blocked it is 1, and lengths are 0.
     """
     module = Module()
-    parameters = [("valid", PTR), ("scene", PTR), ("context", PTR), ("rays", PTR)]
-    with module.function(LENGTHS_OF_PACKET, parameters) as f:
+    with module.function(LENGTHS_OF_PACKET, PACKET) as f:
         # Shapes that emit are hit like all others.
         CrossingSearch(f, replace(features, lights=False), width).build()
     return module.text()

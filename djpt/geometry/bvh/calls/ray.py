@@ -14,7 +14,7 @@ from djpt.jit.llvm import arithmetic
 from djpt.jit.llvm.arithmetic import abs, copysign, fma, maximum, minimum, select
 from djpt.jit.llvm.ir import F32, I32, I64, Function, Type, Value, vector
 
-__all__ = ["ROW", "BoxRay", "Features", "Placed", "PlaneRay", "RayTerms", "TriangleTest", "Triple"]
+__all__ = ["ROW", "BoxRay", "Features", "Placed", "PlaneRay", "RayTerms", "TriangleTest", "Triple", "overlap"]
 
 ROW = vector(F32, CHILDREN)
 """A number for each child of a node, or for each triangle of a leaf."""
@@ -103,12 +103,19 @@ class BoxRay:
             [fma(self._row(node, rows[a]), self._inverse[a], self._shift[a]) for a in range(3)]
             for rows in (self._near, self._far)
         )
-        entry = maximum(maximum(near[0], near[1]), maximum(near[2], 0.0))
-        leave = minimum(minimum(far[0], far[1]), minimum(far[2], reach.spread(CHILDREN)))
-        return entry, entry <= leave
+        return overlap(near, far, reach)
 
     def _row(self, node: Value, offset: Value) -> Value:
         return self._function.load(ROW, node.at(offset), align=ROW_BYTES)
+
+
+def overlap(near: Sequence[Value], far: Sequence[Value], reach: Value) -> tuple[Value, Value]:
+    """Where rays enter boxes, and a mask of those that they meet before `reach`.
+
+    `near` and `far` are the distances of the planes that they come to first and last, along each axis.
+    """
+    entry = maximum(maximum(near[0], near[1]), maximum(near[2], 0.0))
+    return entry, entry <= minimum(minimum(far[0], far[1]), minimum(far[2], reach))
 
 
 class PlaneRay:
@@ -122,12 +129,9 @@ class PlaneRay:
 
     def meet(self, leaf: Value) -> TriangleTest:
         """Test the triangles of a leaf."""
-        sheared, heights = [], []
-        for corner in range(3):
-            x, y, z = (self._row(leaf, corner, self._axes[k]) - self._origin[k] for k in range(3))
-            sheared.append((fma(self._shear[0], z, x), fma(self._shear[1], z, y)))
-            heights.append(z)
-        return TriangleTest.of(sheared, heights, self._shear[2])
+        return TriangleTest.of(
+            lambda corner, axis: self._row(leaf, corner, axis), self._axes, self._origin, self._shear
+        )
 
     def _row(self, leaf: Value, corner: int, axis: Value) -> Value:
         return self._function.load(ROW, leaf.at(axis).at(3 * ROW_BYTES * corner), align=ROW_BYTES)
@@ -137,16 +141,26 @@ class TriangleTest:
     """The tests of eight triangles by one ray, or of one triangle by several rays."""
 
     @staticmethod
-    def of(sheared: Sequence[tuple[Value, Value]], heights: Sequence[Value], inverse: Value) -> TriangleTest:
-        """Test triangles by their corners in the plane across the ray, and along the ray.
+    def of(
+        coordinate: Callable[[int, Value], Value],
+        axes: Sequence[Value],
+        origin: Sequence[Value],
+        shear: Sequence[Value],
+    ) -> TriangleTest:
+        """Test triangles by their corners: `coordinate` reads that of a corner along one of the `axes`.
 
-        `inverse` is the last number of `RayTerms.shear`.
+        `axes`, `origin` and `shear` are those of `RayTerms`.
         """
+        sheared, heights = [], []
+        for corner in range(3):
+            x, y, z = (coordinate(corner, axes[k]) - origin[k] for k in range(3))
+            sheared.append((fma(shear[0], z, x), fma(shear[1], z, y)))
+            heights.append(z)
         (x0, y0), (x1, y1), (x2, y2) = sheared
         # Products and differences are rounded one by one: swapping the ends of an edge then changes
         # the sign of its function and nothing else.
         edges = x2 * y1 - y2 * x1, x0 * y2 - y0 * x2, x1 * y0 - y1 * x0
-        return TriangleTest(edges, heights, inverse)
+        return TriangleTest(edges, heights, shear[2])
 
     def __init__(self, edges: tuple[Value, Value, Value], heights: Sequence[Value], inverse: Value) -> None:
         w0, w1, w2 = edges

@@ -46,10 +46,22 @@ from djpt.geometry.bvh.calls.layout import (
     ROW_BYTES,
 )
 from djpt.geometry.bvh.calls.ray import ROW, BoxRay, Features, Placed, PlaneRay, RayTerms, TriangleTest, Triple
-from djpt.geometry.bvh.calls.traversal import ANY, B1, B2, BLOCKED, FIELDS, INSIDE, RECORD, STACK, name_of
+from djpt.geometry.bvh.calls.traversal import (
+    ANY,
+    B1,
+    B2,
+    BLOCKED,
+    FIELDS,
+    INSIDE,
+    PACKET,
+    RECORD,
+    STACK,
+    lines_of,
+    name_of,
+)
 from djpt.geometry.query import DETAIL
-from djpt.jit.llvm.arithmetic import bit_count, lowest_bit, minimum, select
-from djpt.jit.llvm.ir import F32, I1, I8, I16, I32, I64, LINE, PTR, Function, Module, Type, Value, vector
+from djpt.jit.llvm.arithmetic import across_lanes, bit_count, lowest_bit, minimum, select
+from djpt.jit.llvm.ir import F32, I1, I8, I16, I32, I64, LINE, Function, Module, Type, Value, vector
 
 __all__ = ["RingSearch", "ring_function"]
 
@@ -79,8 +91,8 @@ def ring_function(kind: str, width: int, features: Features) -> str:
     and `width` be a power of two.
     """
     module = Module()
-    parameters = [("valid", PTR), ("scene", PTR), ("context", PTR), ("rays", PTR)]
-    with module.function(name_of(kind), parameters) as f:
+    with module.function(name_of(kind), PACKET) as f:
+        # Either search computes the terms of rays: kept for the other, they would take the first one's registers.
         if not features.placed:
             CoherentSearch(f, kind == ANY, features, width).build()
         RingSearch(f, kind == ANY, features, width).build()
@@ -223,11 +235,7 @@ class RingSearch:
     def begin(self) -> None:
         """Compute the terms of all rays, and let active ones wait for the root."""
         f, row = self.f, self.row
-        o, d = (
-            [f.load(row, self.rays.at(4 * self.width * (FIELDS[part] + axis)), row.size) for axis in range(3)]
-            for part in "od"
-        )
-        for k, term in enumerate(RayTerms.of(o, d).values()):
+        for k, term in enumerate(RayTerms.of(*lines_of(self.rays, self.width)).values()):
             f.store(term, self.terms.at(row.size * k), row.size)
         with f.each(0, self.width) as lane:
             bottom = self.stack(lane)
@@ -415,9 +423,7 @@ class RingSearch:
             return self.block(lane)
         hit = hits.to(I8).bits_as(MASK)
         distances = select(hit, t, float("inf"))
-        least = distances
-        for step in (4, 2, 1):
-            least = minimum(least, least.shuffled([k ^ step for k in range(CHILDREN)]))
+        least = across_lanes(distances, minimum)
         slot = lowest_bit((hit & (distances == least)).bits_as(I8).to(I32))
         b1, b2 = (f.array(F32, CHILDREN) for _ in range(2))
         b1.store(weights[0])

@@ -41,6 +41,7 @@ __all__ = [
     "Hit",
     "Rays",
     "add_search",
+    "lines_of",
     "name_of",
     "packet_function",
 ]
@@ -361,6 +362,9 @@ def name_of(kind: str) -> str:
 B1, B2, RECORD, INSIDE = 15, 16, 17, 18
 """The arrays for the closest hit, with `maxt` for its distance. A value in INSIDE tells Dr.Jit that there is one."""
 
+PACKET = [("valid", PTR), ("scene", PTR), ("context", PTR), ("rays", PTR)]
+"""The functions' parameters."""
+
 BLOCKED = float("-inf")
 """The `maxt` of a ray that is blocked, for Dr.Jit."""
 
@@ -371,10 +375,16 @@ def packet_function(kind: str, width: int, features: Features) -> str:
     # Any hit may be enough for single rays of a packet that looks for the closest.
     for needed in (ANY,) if kind == ANY else (ANY, CLOSEST):
         add_search(module, needed, features, width)
-    parameters = [("valid", PTR), ("scene", PTR), ("context", PTR), ("rays", PTR)]
-    with module.function(name_of(kind), parameters) as f:
+    with module.function(name_of(kind), PACKET) as f:
         Packet(f, width).search(kind)
     return module.text()
+
+
+def lines_of(rays: Value, width: int) -> tuple[list[Value], list[Value]]:
+    """The origins and the directions of a packet's rays, vectors with a lane for each ray."""
+    f, row = rays.function, vector(F32, width)
+    o, d = ([f.load(row, rays.at(4 * width * (FIELDS[part] + axis)), row.size) for axis in range(3)] for part in "od")
+    return o, d
 
 
 class Packet:
@@ -402,11 +412,7 @@ class Packet:
     def terms(self) -> Value:
         """The address of the terms of all rays, computed at once for the whole packet."""
         f, row = self.f, vector(F32, self.width)
-        o, d = (
-            [f.load(row, self.rays.at(4 * self.width * (FIELDS[part] + axis)), row.size) for axis in range(3)]
-            for part in "od"
-        )
-        values = RayTerms.of(o, d).values()
+        values = RayTerms.of(*lines_of(self.rays, self.width)).values()
         memory = f.reserve(row, len(values))
         for k, value in enumerate(values):
             f.store(value, memory.at(row.size * k), row.size)
