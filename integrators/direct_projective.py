@@ -145,12 +145,6 @@ class DirectProjectiveIntegrator(PSIntegrator):
             front = self.shade(scene, sampler, ray, 0, si, active)
         return dr.select(active, Color3f(front), 0), dr.select(active, Color3f(back), 0), active
 
-    def sample_radiance_difference(
-        self, scene: Any, ss: SilhouetteSample3f, curr_depth: Any, sampler: Any, wavelengths: Any, active: Any
-    ) -> tuple[Color3f, Bool]:
-        front, back, _ = self.sample_radiances(scene, ss, curr_depth, sampler, active)
-        return front - back, dr.any(front != back)
-
     def sample_importance(
         self,
         scene: Any,

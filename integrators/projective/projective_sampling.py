@@ -34,8 +34,8 @@ class PSIntegrator(RBIntegrator):
 
     The first is that of `RBIntegrator`, or, if the class clears `radiative_backprop`, of `ADIntegrator`. The second
     comes from silhouettes as the camera sees them, the third from those that other surfaces see, which shadows and
-    reflections show: see `djpt.ad.projective`. A subclass overrides `sample`, `sample_radiance_difference` and
-    `sample_importance`.
+    reflections show: see `djpt.ad.projective`. A subclass overrides `sample`, `sample_radiance_difference`
+    or `sample_radiances`, and `sample_importance`.
 
     Parameters: those of `ADIntegrator`; `sppc`, `sppp`, `sppi`: the samples per pixel of the three estimates, unless
     the call sets them (default: the sampler's; 0: none, whatever the call sets); `guiding` (`none`, `grid` or `octree`,
@@ -111,9 +111,13 @@ class PSIntegrator(RBIntegrator):
     ) -> tuple[Color3f, Bool]:
         """The radiance of the surface at silhouettes less that of what is behind, along -`ss.d`, and where it isn't 0.
 
-        `curr_depth` edges of the path lie between the sensor and the silhouette.
+        `curr_depth` edges of the path lie between the sensor and the silhouette. By default, the difference of
+        `sample_radiances`: a class overrides one of the two.
         """
-        raise NotImplementedError(f"{type(self).__name__} needs a method sample_radiance_difference(scene, ss, ..)")
+        if type(self).sample_radiances is PSIntegrator.sample_radiances:
+            raise NotImplementedError(f"{type(self).__name__} needs a method sample_radiance_difference(scene, ss, ..)")
+        front, back, _ = self.sample_radiances(scene, ss, curr_depth, sampler, active)
+        return front - back, dr.any(front != back)
 
     def sample_radiances(
         self, scene: Scene, ss: SilhouetteSample3f, curr_depth: Any, sampler: Sampler, active: Bool | bool
