@@ -196,26 +196,29 @@ def gathered(x: UInt32, gap: int) -> UInt32:
 # ---- statistics of tests ---------------------------------------------------------------------
 
 
-def chi2(obs: Any, exp: Any, pool_threshold: float) -> tuple[float, int, int, int]:
+def chi2(obs: Any, exp: Any, pool_threshold: float, slack: Any = 0.0) -> tuple[float, int, int, int]:
     """Pearson's statistic, the sum of (observed - expected)^2 / expected.
 
     Args:
         obs: observed counts.
         exp: expected ones.
         pool_threshold: cells with smaller expectations are pooled in order until their sum exceeds it.
+        slack: what is added to the divisor, for all cells or for each: the squared error of expectations that are
+            known roughly. Mitsuba's function has no such argument.
 
     Returns:
         The statistic; the degrees of freedom; how many cells were pooled; into how many.
     """
     observed, expected = (np.array(values, np.float64).ravel() for values in (obs, exp))
+    extra = np.broadcast_to(np.asarray(slack, np.float64), expected.shape)
     common = expected >= pool_threshold
-    statistic = float(((observed - expected)[common] ** 2 / expected[common]).sum())
+    statistic = float(((observed - expected)[common] ** 2 / (expected + extra)[common]).sum())
     rare = ~common & ((observed != 0) | (expected != 0))
-    pooled, sums = 0, np.zeros(2)
-    for pair in zip(observed[rare], expected[rare], strict=True):
-        sums += pair
+    pooled, sums = 0, np.zeros(3)
+    for triple in zip(observed[rare], expected[rare], extra[rare], strict=True):
+        sums += triple
         if sums[1] > pool_threshold:
-            statistic += float((sums[0] - sums[1]) ** 2 / sums[1])
+            statistic += float((sums[0] - sums[1]) ** 2 / (sums[1] + sums[2]))
             sums[:] = 0
             pooled += 1
     return statistic, int(common.sum()) + pooled - 1, int(rare.sum()), pooled

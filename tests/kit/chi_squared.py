@@ -7,9 +7,9 @@ from typing import Any
 
 import drjit as dr
 import numpy as np
-from scipy.stats import chi2
 
 import djpt
+from djpt.mitsuba.math import chi2, rlgamma
 from tests.kit.arrays import floats, in_numpy
 
 __all__ = ["PLANE", "SPHERE", "Domain", "Partition", "p_value", "probability_of_counts", "uniform"]
@@ -80,17 +80,38 @@ def p_value(
     found = np.array(density(domain.point(at[0].ravel(), at[1].ravel())), np.float64)
     grid = np.broadcast_to(found, (at[0].size,)).reshape(bins[0], fine, bins[1], fine)
     area = np.prod(domain.high - domain.low) / np.prod(n)
-    integral = grid.sum() * area
-    expected = grid.sum(axis=(1, 3)) * area * valid.size
+    expected = grid.sum(axis=(1, 3)) * area
+    lost = valid.size - int(valid.sum())
+    return probability_of_counts(observed, expected, lost), float(expected.sum())
 
-    # Rare bins are pooled, so that counts are nearly normal.
-    expected, observed = expected.ravel(), observed.ravel()
-    common = expected > 20
-    cells = [*zip(expected[common], observed[common], strict=True), (expected[~common].sum(), observed[~common].sum())]
-    cells.append((valid.size * max(0.0, 1 - integral), valid.size - valid.sum()))
-    # Cells that are all but empty by quadrature may hold a few samples; the quadrature itself errs a little.
-    statistic = sum((o - e) ** 2 / (e + (1e-3 * e) ** 2 + 4) for e, o in cells)
-    return float(chi2.sf(statistic, max(1, len(cells) - 1))), float(integral)
+
+def probability_of_counts(
+    observed: np.ndarray,
+    expected: np.ndarray,
+    lost: int | None = None,
+    error: float = 1e-3,
+    lost_error: float = 0.0,
+    slack: float = 4.0,
+) -> float:
+    """The p-value of Pearson's test of the counts in bins against the bins' probabilities.
+
+    Rare bins are pooled, so that counts are nearly normal. The density, or its quadrature, may err by `error` of
+    its value. Samples that are `lost` fill what the probabilities lack of 1, up to `lost_error`. The cell of rare bins
+    and that of lost samples may be nearly empty, and the quadrature isn't exact: their variance is larger by `slack`.
+    """
+    observed, e = observed.ravel(), expected.ravel() * (observed.sum() + (lost or 0))
+    common = e > 20
+    counts = np.append(observed[common], observed[~common].sum())
+    means = np.append(e[common], e[~common].sum())
+    extra = (error * means) ** 2
+    extra[-1] += slack
+    if lost is not None:
+        n = observed.sum() + lost
+        rest = n * max(0.0, 1 - expected.sum())
+        counts, means = np.append(counts, lost), np.append(means, rest)
+        extra = np.append(extra, (error * rest) ** 2 + slack + (lost_error * n) ** 2)
+    statistic, freedom, _, _ = chi2(counts, means, 0, extra)
+    return 1 - rlgamma(max(1, freedom) / 2, statistic / 2)
 
 
 # ---------------------------------------------------------------- narrow densities
@@ -189,22 +210,3 @@ def _gauss(function: Callable[[Any], np.ndarray], low: np.ndarray, high: np.ndar
     values = np.asarray(function(_direction(at[..., 0].ravel(), at[..., 1].ravel())), np.float64)
     values = values.reshape(len(values), len(low), len(weights))
     return (values * weights).sum(axis=2) * np.prod(high - low, axis=1)
-
-
-def probability_of_counts(observed: np.ndarray, lost: int, expected: np.ndarray, error: float = 1e-3) -> float:
-    """The p-value of Pearson's test of the counts in bins, and of the lost samples, against the bins' probabilities.
-
-    Rare bins are pooled, so that counts are nearly normal. The density, or its quadrature, may err by `error` of
-    its value.
-    """
-    n = observed.sum() + lost
-    e = expected * n
-    common = e > 20
-    cells = [*zip(e[common], observed[common], strict=True), (e[~common].sum(), observed[~common].sum())]
-    cells.append((n * max(0.0, 1 - expected.sum()), lost))
-    slack = [(error * e) ** 2 for e, _ in cells]
-    # These cells may be nearly empty, and the quadrature isn't exact.
-    slack[-2] += 4
-    slack[-1] += 4 + (error * n / 10) ** 2
-    parts = [(o - e) ** 2 / (e + s) for (e, o), s in zip(cells, slack, strict=True)]
-    return float(chi2.sf(sum(parts), max(1, len(cells) - 1)))

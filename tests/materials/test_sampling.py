@@ -97,7 +97,8 @@ def check_density(name: str, wi: Any, count: int) -> None:
     integrals = partition.integrate(functions)
     assert integrals[0].sum() <= 1 + error(name)
     observed = partition.count(bs.wo, counts)
-    assert probability_of_counts(observed, int(count - counts.sum()), integrals[0], error(name)) > LEVEL
+    lost, off = int(count - counts.sum()), error(name)
+    assert probability_of_counts(observed, integrals[0], lost, off, off / 10) > LEVEL
     visible = np.where(counts, weight, 0)
     noise = 5 * visible.std(axis=1) / np.sqrt(count)
     difference = np.abs(visible.mean(axis=1) - integrals[1:].sum(axis=1))
@@ -130,7 +131,8 @@ def test_a_wrong_density_is_noticed() -> None:
             return wide(other.pdf(RADIANCE, interaction(opaque_wi(wi)), wo), dr.width(wo))[None]
 
         expected = partition.integrate(density)[0]
-        p = probability_of_counts(partition.count(bs.wo, counts), int(COUNT - counts.sum()), expected)
+        lost = int(COUNT - counts.sum())
+        p = probability_of_counts(partition.count(bs.wo, counts), expected, lost, lost_error=1e-4)
         assert (p > LEVEL) == fits
 
 

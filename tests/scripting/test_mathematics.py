@@ -83,6 +83,15 @@ def test_pooled_statistics_are_those_of_both_modules(mi: Any) -> None:
     assert djpt.math_py.chi2(observed, expected, 5) == pytest.approx(mi.math_py.chi2(observed, expected, 5))
 
 
+def test_errors_of_expectations_add_to_the_variance() -> None:
+    """Of common cells, and of those that are pooled."""
+    statistic, freedom, rare, pooled = djpt.math_py.chi2([24, 4, 3, 4], [20, 2, 2, 2], 5, [5, 1, 2, 3])
+    assert (freedom, rare, pooled) == (1, 3, 1)
+    assert statistic == pytest.approx(4**2 / (20 + 5) + 5**2 / (6 + 6))
+    plain, wide = (djpt.math_py.chi2([24, 18], [20, 20], 5, slack)[0] for slack in (0, 20))
+    assert wide == pytest.approx(plain / 2)
+
+
 # Mitsuba's `eval_spline_weights` and `eval_2d` end the process in its variants with Dr.Jit.
 
 
