@@ -14,6 +14,8 @@ import pytest
 from drjit.opt import Adam
 
 import djpt
+from djpt.jit.frozen import SHARED
+from djpt.jit.llvm.calls import address_of
 from djpt.jit.types import Color3f, TensorXf, UInt32
 from tests.kit.processes import run_python
 from tests.kit.renders import box, pixels
@@ -78,6 +80,22 @@ def test_a_frozen_rendering_gives_the_same_bits(name: str) -> None:
         seen.append(found)
     assert not np.array_equal(seen[2], seen[3])
     assert frozen.n_recordings == 2, "the second one finds out which arrays have other values each time"
+
+
+def test_no_two_arrays_share_memory() -> None:
+    """A call of a frozen function would leave one of them, so that the next one finds other inputs."""
+    scene = djpt.load_dict(SCENES["a mesh"]())
+    image(scene, UInt32(0))
+    arrays = [leaf for entry in scene.held[1:] for leaf in leaves(entry) if leaf.state == dr.VarState.Evaluated]
+    address = {leaf.index: address_of(leaf) for leaf in arrays}
+    assert len(SHARED) >= 2 and len(set(address.values())) == len(address)
+
+
+def leaves(value: Any) -> list[Any]:
+    """The arrays of numbers that an array of vectors or a tensor consists of."""
+    if dr.is_tensor_v(value):
+        return [value.array]
+    return [value] if dr.depth_v(value) == 1 else [leaf for part in value for leaf in leaves(part)]
 
 
 @pytest.mark.parametrize("schedule", ["machine", "wave"])

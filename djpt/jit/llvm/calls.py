@@ -10,6 +10,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import drjit as dr
@@ -42,8 +43,11 @@ class Code:
     """An array that begins at the function's address."""
 
     @staticmethod
+    @cache
     def at(address: int) -> Code:
-        """The function at an address.
+        """The function at an address, the same object at each call.
+
+        Two arrays of the same memory become one where Dr.Jit repeats a frozen function, which it then records anew.
 
         Raises:
             CallError: Dr.Jit copies the code, though it is to share the memory.
