@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from djpt.apps.cli import options
-from djpt.apps.cli.console import Command, parameters, require_positive, say
+from djpt.apps.cli.console import Command, described_scene, require_positive, say
 from djpt.errors import ParameterError, RenderError
 from djpt.rendering.progress import progress_bar
 
@@ -118,7 +118,6 @@ def animate(tracks: tuple[str, ...], **chosen: Any) -> None:
 def write(
     moving: Callable[[Scene, Sensor], Mapping[str, Moving]],
     *,
-    scene: str,
     output: Path,
     frames: int,
     suffix: str,
@@ -126,21 +125,15 @@ def write(
     fps: float,
     spp: int | None,
     seed: int,
-    width: int | None,
-    height: int | None,
-    rfilter: str | None,
-    integrator: str | None,
     sensor: int,
     tonemap: str,
     exposure: str,
-    define: tuple[str, ...],
     quiet: bool,
+    **chosen: Any,
 ) -> None:
     """Render the frames that are missing, then the movie; `moving` says what moves in a scene seen by a sensor."""
-    from djpt.scenes.overrides import described, override
-
-    require_positive(spp=spp, frames=frames, width=width, height=height)
-    description = described(scene, parameters(define))[1]
+    require_positive(spp=spp, frames=frames)
+    description = described_scene(**chosen)[1]
     import djpt
     from djpt.apps.animation.frames import MOVIES, check_movie, render_frames, write_movie
     from djpt.apps.cli.pictures import Tone
@@ -154,7 +147,6 @@ def write(
     if toned and exposure == "auto":
         raise RenderError("the exposure of an animation is the same for all frames: give a number of stops")
     tone = Tone(Path(f"0.{suffix}"), tonemap, exposure, None) if toned else None
-    description = override(description, width=width, height=height, rfilter=rfilter, integrator=integrator)
     loaded = djpt.load_dict(description)
     start = time.perf_counter()
     files = []

@@ -15,7 +15,17 @@ from djpt.core.interruption import Terminated
 from djpt.core.terminal import visible
 from djpt.errors import BackendError, DjptError, RenderError, SceneError
 
-__all__ = ["Command", "ExitCode", "announce", "fail", "number_or_word", "parameters", "require_positive", "say"]
+__all__ = [
+    "Command",
+    "ExitCode",
+    "announce",
+    "described_scene",
+    "fail",
+    "number_or_word",
+    "parameters",
+    "require_positive",
+    "say",
+]
 
 
 class ExitCode(IntEnum):
@@ -84,6 +94,18 @@ def parameters(definitions: Sequence[str]) -> dict[str, str]:
         if not name or not equals:
             raise SceneError(f"-D takes NAME=VALUE, found '{name}{equals}{value}'")
     return {name: value for name, _, value in pairs}
+
+
+def described_scene(scene: str, define: Sequence[str], **changes: Any) -> tuple[str, dict[str, Any]]:
+    """The name and the description of SCENE with the parameters of ``-D``, changed as by `djpt.scenes.override`.
+
+    The sizes among the changes must be positive. NumPy and Dr.Jit are imported after the scene was found.
+    """
+    from djpt.scenes.overrides import described, override
+
+    require_positive(**{name: changes[name] for name in ("width", "height") if name in changes})
+    name, description = described(scene, parameters(define))
+    return name, override(description, **changes)
 
 
 def require_positive(**options: float | None) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from djpt.apps.cli import options
-from djpt.apps.cli.console import Command, ExitCode, parameters, require_positive, say
+from djpt.apps.cli.console import Command, ExitCode, described_scene, require_positive, say
 from djpt.errors import ParameterError
 from djpt.rendering.progress import progress_bar
 
@@ -59,30 +59,21 @@ def command(
     differentiable parameters that don't move shapes. The exit code is 1 if a gradient is wrong.
     """
     from djpt.images.image import check_writable
-    from djpt.scenes.overrides import described, override
 
     counts = {name: settings[name] for name in ("spp", "seeds", "most_seeds")}
     require_positive(**counts, width=width, height=height)
-    name, description = described(scene, parameters(define))
+    name, description = described_scene(scene, define, integrator=integrator)
     from djpt.description.loader import load_dict
     from djpt.validation.gradcheck import check_gradient
 
-    chosen = keys or smooth_keys(load_dict(override(description, integrator=integrator)))
+    chosen = keys or smooth_keys(load_dict(description))
     if output is not None and len(chosen) == 1:
         check_writable(output)
     results, unchecked = [], []
     for key in chosen:
         try:
             with progress_bar(key, "renders", quiet or as_json) as progress:
-                result = check_gradient(
-                    description,
-                    key,
-                    width=width,
-                    height=height,
-                    integrator=integrator,
-                    progress=progress,
-                    **settings,
-                )
+                result = check_gradient(description, key, width=width, height=height, progress=progress, **settings)
         except ParameterError as error:
             if keys:
                 raise

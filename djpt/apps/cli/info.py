@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from djpt.apps.cli import options
-from djpt.apps.cli.console import Command, parameters
+from djpt.apps.cli.console import Command, described_scene
 from djpt.core.terminal import visible
 
 if TYPE_CHECKING:
@@ -81,10 +81,10 @@ def info(scene: str, define: tuple[str, ...]) -> None:
 
     This includes statistics of the tree over its triangles.
     """
+    description = described_scene(scene, define)[1]
     import djpt
-    from djpt.scenes.overrides import described
 
-    print(describe(djpt.load_dict(described(scene, parameters(define))[1])))
+    print(describe(djpt.load_dict(description)))
 
 
 @click.command("scenes", cls=Command)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
 from djpt.apps.cli import options
-from djpt.apps.cli.console import Command, parameters, require_positive, say
+from djpt.apps.cli.console import Command, described_scene, require_positive, say
 from djpt.core.files import check_target, writing
 from djpt.errors import RenderError
 from djpt.rendering.progress import progress_bar
@@ -28,43 +29,21 @@ __all__ = ["command"]
 @options.seed
 @options.define
 @options.quiet
-def command(
-    scene: str,
-    output: Path,
-    seconds: float,
-    spp: int | None,
-    reference: str,
-    reference_spp: int | None,
-    size: int | None,
-    seed: int,
-    define: tuple[str, ...],
-    quiet: bool,
-) -> None:
+def command(scene: str, output: Path, size: int | None, define: tuple[str, ...], quiet: bool, **settings: Any) -> None:
     """Write a page that compares the errors of all algorithms.
 
     Each algorithm renders SCENE at several sample counts.
     """
-    from djpt.scenes.overrides import described
     from djpt.validation.integrator_comparison.measure import measure
     from djpt.validation.integrator_comparison.page import html
 
-    require_positive(spp=spp, reference_spp=reference_spp, size=size)
+    require_positive(spp=settings["spp"], reference_spp=settings["reference_spp"], size=size)
     if output.suffix.lower() not in (".html", ".htm"):
         raise RenderError(f"the page is written as html, found '{output}'")
     check_target(output)
-    name, description = described(scene, parameters(define))
+    name, description = described_scene(scene, define)
     with progress_bar("measuring", "algorithms", quiet) as progress:
-        found = measure(
-            description,
-            seconds,
-            spp,
-            reference,
-            reference_spp=reference_spp,
-            width=size,
-            seed=seed,
-            name=name,
-            progress=progress,
-        )
+        found = measure(description, width=size, name=name, progress=progress, **settings)
     with writing(output) as temporary:
         temporary.write_text(html(found), encoding="utf-8", errors="replace")
     if not quiet:

@@ -5,28 +5,55 @@ it (no usable LLVM, no Mitsuba to compare with); 130 interrupted; 143 terminated
 the progress bar to stderr; the bar only to a terminal.
 """
 
+# ruff: noqa: F401 (the names of commands are read by `lazily`)
+
 from __future__ import annotations
 
 import os
 import sys
+from typing import TYPE_CHECKING
 
 import click
 
 import djpt
-from djpt.apps.cli import commands
 from djpt.apps.cli.console import ExitCode
 from djpt.core.files import reason
+from djpt.core.lazy import lazily
 from djpt.core.terminal import show_all
 from djpt.errors import near_miss
 
+if TYPE_CHECKING:
+    from djpt.apps.cli.animation import animate as animate
+    from djpt.apps.cli.animation import turntable as turntable
+    from djpt.apps.cli.compare import command as compare
+    from djpt.apps.cli.doctor import command as doctor
+    from djpt.apps.cli.gradcheck import command as gradcheck
+    from djpt.apps.cli.info import info as info
+    from djpt.apps.cli.info import scenes as scenes
+    from djpt.apps.cli.ladder import command as ladder
+    from djpt.apps.cli.pictures import denoise as denoise
+    from djpt.apps.cli.pictures import merge as merge
+    from djpt.apps.cli.pictures import tonemap as tonemap
+    from djpt.apps.cli.render import command as render
+    from djpt.apps.cli.strips import bounces as bounces
+    from djpt.apps.cli.strips import gallery as gallery
+    from djpt.apps.cli.strips import spp as spp
+    from djpt.apps.cli.strips import strategies as strategies
+    from djpt.apps.cli.validate import command as validate
+    from djpt.apps.cli.view import command as view
+    from djpt.apps.cli.worker import command as worker
+
 __all__ = ["COMMANDS", "app", "main", "run"]
+
+command_named = lazily(__name__)[0]
+"""The function that imports a command when it is asked for."""
 
 COMMANDS = (
     *("render", "view", "worker", "merge", "denoise", "tonemap", "compare", "gradcheck", "validate"),
     *("info", "scenes", "gallery", "doctor"),
     *("turntable", "animate", "ladder", "bounces", "spp", "strategies"),
 )
-"""The commands in the order of the help, as `djpt.apps.cli.commands` names them."""
+"""The commands in the order of the help."""
 
 
 class Commands(click.Group):
@@ -36,10 +63,7 @@ class Commands(click.Group):
         return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        if cmd_name not in COMMANDS:
-            return None
-        command: click.Command = getattr(commands, cmd_name)
-        return command
+        return command_named(cmd_name) if cmd_name in COMMANDS else None
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from djpt.rendering.progressive.accumulation import Accumulation
     from djpt.rendering.settings import RenderSettings
 
-__all__ = ["Passes", "seconds_of", "share_of", "status"]
+__all__ = ["Passes", "passes_of", "seconds_of", "share_of", "status"]
 
 PREVIEW_SECONDS = 1.0
 """The minimum time between two writings of the preview."""
@@ -87,7 +87,7 @@ class Passes:
         The function ends the process if a signal has come. A signal ends a render only after the checkpoint is written.
         """
         import djpt
-        from djpt.apps.cli.pictures import channels_for
+        from djpt.apps.cli.pictures import Stored
 
         begun, spp = None, settings.spp
         if self.resume and self.checkpoint is not None and self.checkpoint.exists():
@@ -114,8 +114,8 @@ class Passes:
         def show() -> None:
             nonlocal shown
             if self.preview is not None and found is not None:
-                names = channels_for(self.preview, found.channels, len(settings.sensor.film().channel_names()))
-                djpt.write(self.preview, found.image()[..., :names])
+                colours = len(settings.sensor.film().channel_names())
+                Stored(self.preview, found.channels, colours).write(found.image())
                 shown = time.perf_counter()
 
         options: dict[str, Any] = {
@@ -257,7 +257,23 @@ class Line:
         self.show("")
 
 
-# ---- numbers of options ---------------------------------------------------------------------------
+# ---- options -----------------------------------------------------------------------------------
+
+
+def passes_of(**options: Any) -> Passes | None:
+    """The render in rounds that the options ask for, checked; None if they don't ask for one.
+
+    Args:
+        options: The fields of `Passes`; times and the error are texts.
+    """
+    if all(value in (None, False) for name, value in options.items() if name != "every"):
+        return None
+    for name, parsed in (("every", seconds_of), ("target_error", share_of), ("time_budget", seconds_of)):
+        if options[name] is not None:
+            options[name] = parsed(options[name])
+    found = Passes(**options)
+    found.check()
+    return found
 
 
 def seconds_of(text: str) -> float:

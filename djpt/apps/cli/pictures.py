@@ -20,7 +20,7 @@ from djpt.images.image import check_writable, read_metadata, read_pixels, readin
 if TYPE_CHECKING:
     from djpt.rendering.denoising.filtering import Guides, Pixels
 
-__all__ = ["Tone", "carried", "channels_for", "denoise", "layers", "merge", "tonemap"]
+__all__ = ["Stored", "Tone", "denoise", "merge", "tonemap"]
 
 
 class Tone:
@@ -61,6 +61,25 @@ def carried(target: Path, facts: dict[str, Any]) -> dict[str, Any]:
 
 
 # ---- the part of an image that goes into a file ----------------------------------------------
+
+
+class Stored:
+    """An image file, and the channels of an image that its format holds: see `channels_for`."""
+
+    def __init__(self, path: Path, names: Sequence[str], colours: int) -> None:
+        self.path, self.names = path, list(names)
+        self.kept = channels_for(path, names, colours)
+        """The number of channels that are written, from the first."""
+
+    def write(self, pixels: Any, facts: dict[str, Any] | None = None, named: bool = True) -> None:
+        """Write an image of all channels, with metadata if the format carries them, and with names in an exr."""
+        names = self.names[: self.kept] if named and self.path.suffix.lower() == ".exr" else None
+        djpt.write(self.path, pixels[..., : self.kept], names, metadata=carried(self.path, facts or {}))
+
+    def say_left_out(self) -> None:
+        """Print which layers the file doesn't hold, if there are any."""
+        if self.names[self.kept :]:
+            say(f"without {', '.join(layers(self.names[self.kept :]))}: exr and npy hold all channels")
 
 
 def channels_for(target: Path, names: Sequence[str], colours: int) -> int:
@@ -158,15 +177,14 @@ def denoise(
     alpha = pixels.shape[2] > colours and (names[colours] == "A" if names else pixels.shape[2] in (2, 4))
     shown = names or [str(i) for i in range(pixels.shape[2])]
     shown = ["A" if alpha and i == colours else name for i, name in enumerate(shown)]
-    kept = channels_for(target, shown, colours + alpha)
+    stored = Stored(target, shown, colours + alpha)
     facts = {**(read_metadata(image) if image.suffix.lower() == ".exr" else {}), "denoised": denoiser}
-    named = names[:kept] if names and target.suffix.lower() == ".exr" else None
-    djpt.write(target, cleaned[..., :kept], named, metadata=carried(target, facts))
+    stored.write(cleaned, facts, named=bool(names))
     if not quiet:
         used = [name for name, guide in vars(guides).items() if guide is not None]
         say(f"{target}: {pixels.shape[1]} x {pixels.shape[0]}, {denoiser}, guided by {' and '.join(used) or 'nothing'}")
-        if names[kept:]:
-            say(f"without {', '.join(layers(names[kept:]))}: exr and npy hold all channels")
+        if names:
+            stored.say_left_out()
 
 
 def channels_of(path: Path) -> tuple[Pixels, list[str]]:
@@ -221,16 +239,14 @@ def merge(checkpoints: tuple[Path, ...], output: Path | None, quiet: bool) -> No
     for path in checkpoints[1:]:
         total += djpt.Accumulation.load(path)
     width, height = total.size
-    left_out: tuple[str, ...] = ()
+    stored = None
     if output.suffix.lower() == ".djpt":
         total.save(output)
     else:
         colours = next((i for i, name in enumerate(total.channels) if "." in name), len(total.channels))
-        kept = channels_for(output, total.channels, max(1, colours))
-        left_out = total.channels[kept:]
-        stored = total.channels[:kept] if output.suffix.lower() == ".exr" else None
-        djpt.write(output, total.image().numpy()[..., :kept], channels=stored)
+        stored = Stored(output, total.channels, max(1, colours))
+        stored.write(total.image().numpy())
     if not quiet:
         say(f"{output}: {width} x {height}, {total.spp} spp, error {total.error().overall:.2%}")
-        if left_out:
-            say(f"without {', '.join(layers(left_out))}: exr and npy hold all channels")
+        if stored is not None:
+            stored.say_left_out()

@@ -11,7 +11,7 @@ import click
 
 import djpt
 from djpt.apps.cli import options
-from djpt.apps.cli.console import Command, parameters, require_positive, say
+from djpt.apps.cli.console import Command, described_scene, require_positive, say
 from djpt.core.files import require_different
 from djpt.core.interruption import ending_at_once
 from djpt.errors import RenderError
@@ -68,10 +68,7 @@ def command(
     output: Path | None,
     spp: int | None,
     seed: int,
-    width: int | None,
-    height: int | None,
     rfilter: str | None,
-    integrator: str | None,
     sensor: int,
     schedule: str,
     tonemap: str | None,
@@ -82,40 +79,22 @@ def command(
     raw: Path | None,
     keep_partial: bool,
     checkpoint: Path | None,
-    every: str,
-    resume: bool,
-    target_error: str | None,
-    time_budget: str | None,
     preview: Path | None,
-    cluster: str | None,
-    adaptive: bool,
     define: tuple[str, ...],
     quiet: bool,
+    **chosen: Any,
 ) -> None:
     """Render SCENE to an image file."""
+    from djpt.apps.cli.passes import passes_of
     from djpt.description.files import files_of
-    from djpt.scenes.overrides import described, override
 
-    require_positive(spp=spp, width=width, height=height)
-    name, description = described(scene, parameters(define))
-    in_rounds = None
-    stops = target_error is not None or time_budget is not None
-    if checkpoint or resume or adaptive or cluster is not None or preview or stops:
-        from djpt.apps.cli.passes import Passes, seconds_of, share_of
-
-        in_rounds = Passes(
-            checkpoint,
-            seconds_of(every),
-            resume,
-            None if target_error is None else share_of(target_error),
-            None if time_budget is None else seconds_of(time_budget),
-            adaptive,
-            cluster,
-            preview,
-        )
-        in_rounds.check()
+    require_positive(spp=spp)
+    changes = {option: chosen.pop(option) for option in ("width", "height", "integrator")}
+    changes["rfilter"] = rfilter or ("box" if denoise else None)
+    name, description = described_scene(scene, define, **changes)
+    in_rounds = passes_of(checkpoint=checkpoint, preview=preview, **chosen)
     # NumPy is imported after the scene was found.
-    from djpt.apps.cli.pictures import Tone, channels_for, layers
+    from djpt.apps.cli.pictures import Stored, Tone
     from djpt.images.image import check_writable
     from djpt.rendering.settings import RenderSettings
 
@@ -127,35 +106,29 @@ def command(
     )
     toned = tonemap is not None or exposure != "0" or white_balance is not None
     tone = Tone(target, tonemap or "srgb", exposure, white_balance) if toned else None
-    if denoise and rfilter is None:
-        rfilter = "box"
     if raw is not None and not denoise:
         raise RenderError("--raw writes the input of --denoise: give both, or --output alone")
-    description = override(description, width=width, height=height, rfilter=rfilter, integrator=integrator)
     loaded = djpt.load_dict(description)
     settings = RenderSettings.of(loaded, sensor, seed=seed, spp=spp or 0, schedule=schedule)
     names = djpt.channel_names(loaded, sensor=sensor)
     # Before the long render: can the file hold the image?
-    kept = channels_for(target, names, len(settings.sensor.film().channel_names()))
+    stored = Stored(target, names, len(settings.sensor.film().channel_names()))
     clean = cleaner(loaded, denoiser, settings, raw) if denoise else None
     start = time.perf_counter()
     samples = 0
 
     def convert(rows: Any) -> Any:
-        colours = (rows if clean is None else clean(rows))[..., :kept]
+        colours = (rows if clean is None else clean(rows))[..., : stored.kept]
         return colours if tone is None else tone.apply(colours)
 
     metadata = {"scene": name, **({"denoised": denoiser} if denoise else {}), **({} if tone is None else tone.facts)}
     if in_rounds is not None:
-        from djpt.apps.cli.pictures import carried
         from djpt.rendering.progressive.to_file import facts
 
         with ending_at_once():
             found, taken, leave = in_rounds.render(loaded, description, settings, keep_partial, quiet)
             of_image = facts(replace(settings, spp=found.spp), sensor)
-            stored = names[:kept] if target.suffix.lower() == ".exr" and tone is None else None
-            pixels = convert(found.image().numpy())
-            djpt.write(target, pixels, channels=stored, metadata=carried(target, {**of_image, **metadata}))
+            stored.write(convert(found.image().numpy()), {**of_image, **metadata})
             leave()
         if not quiet:
             (columns, rows), seconds = found.size, time.perf_counter() - start
@@ -189,8 +162,7 @@ def command(
         columns, rows = settings.sensor.film().crop_size()
         taken, speed = settings.sample_count, f"{short(samples / seconds)}samples/s"
         say(f"{target}: {columns} x {rows}, {taken} spp, {seconds:.2f} s, {speed}")
-        if names[kept:]:
-            say(f"without {', '.join(layers(names[kept:]))}: exr and npy hold all channels")
+        stored.say_left_out()
 
 
 def cleaner(scene: Any, method: str, settings: RenderSettings, raw: Path | None) -> Any:

@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from djpt.apps.cli import options
-from djpt.apps.cli.console import Command, announce, number_or_word, parameters, require_positive, say
+from djpt.apps.cli.console import Command, announce, described_scene, number_or_word, require_positive, say
 from djpt.errors import RenderError
 from djpt.rendering.progress import has_terminal, progress_bar
 
@@ -136,11 +136,10 @@ def write(
     """
     import djpt
     from djpt.images.sheets import captioned_rows, captioned_sheet
-    from djpt.scenes.overrides import described
 
     require_positive(size=size)
     check_labelled(output, "a strip")
-    description = described(scene, parameters(define))[1]
+    description = described_scene(scene, define)[1]
     start = time.perf_counter()
     with progress_bar("rendering", unit, quiet) as progress:
         tiles = rendered(description, *counts, **settings, width=size, seed=seed, progress=progress)

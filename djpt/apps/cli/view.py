@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import click
 
 from djpt.apps.cli import options
-from djpt.apps.cli.console import Command, parameters, require_positive
+from djpt.apps.cli.console import Command, described_scene, require_positive
 from djpt.core.terminal import visible
 
 __all__ = ["command"]
@@ -25,21 +27,7 @@ __all__ = ["command"]
 @click.option("--open", "opens", is_flag=True, help="Open the page in the browser.")
 @options.define
 @options.quiet
-def command(
-    scene: str,
-    spp: int,
-    seed: int,
-    width: int | None,
-    height: int | None,
-    rfilter: str | None,
-    integrator: str | None,
-    sensor: int,
-    port: int,
-    host: str,
-    opens: bool,
-    define: tuple[str, ...],
-    quiet: bool,
-) -> None:
+def command(spp: int, seed: int, sensor: int, port: int, host: str, opens: bool, quiet: bool, **chosen: Any) -> None:
     """Show SCENE on a page while it is rendered.
 
     The mouse moves the camera, sliders change parameters; the scene is reloaded when its files change. Press Ctrl-C to
@@ -47,18 +35,12 @@ def command(
     """
     from djpt.apps.viewer.server import Server
     from djpt.apps.viewer.session import Session
-    from djpt.scenes.overrides import described, override
 
-    require_positive(spp=spp, width=width, height=height)
-
-    def describe() -> dict[str, object]:
-        description = described(scene, parameters(define))[1]
-        return override(description, width=width, height=height, rfilter=rfilter, integrator=integrator)
-
+    require_positive(spp=spp)
     with Server(port, host) as server:
-        session = Session(describe, sensor, spp, seed, server.publish, server.tell)
+        session = Session(lambda: described_scene(**chosen)[1], sensor, spp, seed, server.publish, server.tell)
         if not quiet:
-            print(f"{server.url} shows {visible(scene)}; press Ctrl-C to stop", flush=True)
+            print(f"{server.url} shows {visible(chosen['scene'])}; press Ctrl-C to stop", flush=True)
         if opens:
             click.launch(server.url)
         session.run(server.inbox)
