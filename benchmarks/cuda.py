@@ -25,8 +25,8 @@ import mitsuba as mi
 import numpy as np
 from gradients import image_and_gradient
 from mesh_scenes import bumpy_sphere, over_floor, textured_sphere, twenty_meshes, write_bumpy_sphere
-from pairs import machine, seconds, times_in_pairs
 
+from djpt.apps.benchmarks.measuring import machine, seconds, times_in_pairs
 from djpt.errors import BackendError
 from djpt.jit.backends import VARIANTS, load_backend
 

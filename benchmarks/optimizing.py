@@ -26,8 +26,8 @@ from typing import Any
 import drjit as dr
 import numpy as np
 from mesh_scenes import write_bumpy_sphere
-from pairs import heading, machine
 
+from djpt.apps.benchmarks.measuring import heading, machine
 from djpt.apps.optimization import Progressed, optimize
 from djpt.apps.optimization.gauss_newton import RATE
 from djpt.validation.bridge import mitsuba_scene, to_mitsuba

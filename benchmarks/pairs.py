@@ -5,9 +5,7 @@ from __future__ import annotations
 import djpt  # isort: skip (first: it finds the LLVM library that Dr.Jit opens)
 import argparse
 import json
-import math
 import os
-import platform
 import statistics
 import subprocess
 import sys
@@ -18,13 +16,13 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import drjit as dr
 import mitsuba as mi
 
-from djpt.jit.backends import load_backend, variant
-from djpt.jit.llvm.lanes import force_lanes, instruction_set, lane_count
+from djpt.apps.benchmarks.measuring import heading, machine, times_in_pairs
+from djpt.jit.backends import load_backend
+from djpt.jit.llvm.lanes import force_lanes
 
-__all__ = ["Row", "first_image", "heading", "in_pairs", "machine", "report", "seconds", "times_in_pairs"]
+__all__ = ["Row", "first_image", "in_pairs", "report"]
 
 FIRST_IMAGE = Path(__file__).with_name("first_image.py")
 
@@ -58,36 +56,6 @@ class Row:
 # ---- measuring --------------------------------------------------------------------------
 
 
-def seconds(work: Callable[[], Any]) -> float:
-    """The time of one call, until all its results are computed."""
-    dr.sync_thread()
-    start = time.perf_counter()
-    dr.eval(work())
-    dr.sync_thread()
-    return time.perf_counter() - start
-
-
-def times_in_pairs(
-    ours: Callable[[int], Any],
-    theirs: Callable[[int], Any],
-    pairs: int,
-    warm_up: int = 2,
-    limit: float = math.inf,
-) -> list[tuple[float, float]]:
-    """Measure interleaved calls: pairs of seconds, theirs and ours, after `warm_up` pairs. Each call gets a new seed.
-
-    There are fewer than `pairs`, but at least one, if they take longer than `limit` seconds together.
-    """
-    for seed in range(warm_up):
-        seconds(lambda seed=seed: ours(seed))
-        seconds(lambda seed=seed: theirs(seed))
-    times: list[tuple[float, float]] = []
-    while len(times) < pairs and sum(map(sum, times)) < limit:
-        seed = len(times) + 2
-        times.append((seconds(lambda seed=seed: theirs(seed)), seconds(lambda seed=seed: ours(seed))))
-    return times
-
-
 def in_pairs(ours: Callable[[int], Any], theirs: Callable[[int], Any], pairs: int) -> tuple[list[float], str]:
     """Measure interleaved calls: their ratios, and the median times in words. Each call gets a new seed."""
     times = times_in_pairs(ours, theirs, pairs)
@@ -110,49 +78,6 @@ def first_image(renderer: str, scene: str) -> dict[str, float]:
 
 
 # ---- reporting --------------------------------------------------------------------------
-
-
-def machine() -> dict[str, Any]:
-    """The facts that the numbers depend on: processor, versions, variant."""
-    cpu = platform.processor() or platform.machine()
-    cpuinfo = Path("/proc/cpuinfo")
-    if cpuinfo.exists():
-        fields = dict(line.split(":", 1) for line in cpuinfo.read_text().split("\n\n")[0].splitlines() if ":" in line)
-        fields = {key.strip(): value.strip() for key, value in fields.items()}
-        cpu = fields.get("model name", cpu)
-    return {
-        "cpu": cpu,
-        "vectors": f"{instruction_set()}, {lane_count()} lanes" if variant() == "llvm_ad_rgb" else gpu(),
-        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
-        "threads": dr.thread_count(),
-        "load": os.getloadavg()[0],
-        "llvm": ".".join(map(str, dr.detail.llvm_version())),
-        "python": platform.python_version(),
-        "drjit": dr.__version__,
-        "mitsuba": mi.__version__,
-        "djpt": djpt.__version__,
-    }
-
-
-def gpu() -> str:
-    """The name of the GPU and of its driver, as far as they can be found out, and the version of CUDA."""
-    command = ["nvidia-smi", "--query-gpu=name,driver_version", "--format=csv,noheader"]
-    try:
-        found = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()[0]
-    except (OSError, subprocess.SubprocessError, IndexError):
-        found = "GPU"
-    version = ".".join(map(str, dr.detail.cuda_version()))
-    return f"{found}, compute capability {dr.detail.cuda_compute_capability()}, CUDA {version}"
-
-
-def heading(facts: dict[str, Any], what: str) -> str:
-    """The machine in two lines, and what was measured."""
-    versions = ", ".join(f"{name} {facts[name]}" for name in ("djpt", "mitsuba", "drjit", "python"))
-    return (
-        f"{facts['cpu']} {facts['vectors']}, {facts['cores']} cores, {facts['threads']} threads, "
-        f"load {facts['load']:.1f}, LLVM {facts['llvm']}\n{versions}\n"
-        f"{what}; Mitsuba's time / djpt's, median of interleaved pairs (smallest, largest)\n"
-    )
 
 
 def line(row: Row) -> str:
@@ -189,7 +114,7 @@ def report(description: str, what: str, all_rows: Callable[[int, bool], Iterator
         load_backend()
         force_lanes(arguments.lanes)
     facts = machine()
-    print(heading(facts, what))
+    print(heading(facts, f"{what} (smallest, largest)"))
     print(LAYOUT.format("what", "required", "aim", "measured", "", "Mitsuba / djpt").rstrip())
     rows = []
     for row in all_rows(pairs, arguments.quick):

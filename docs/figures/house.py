@@ -9,7 +9,7 @@ from svg import GREY, RED, Box, Drawing
 __all__ = ["house"]
 
 FLOORS = {
-    "for people": ("__main__", "djpt"),
+    "for people": ("benchmarks", "__main__", "djpt"),
     "wings": ("scenes", "mitsuba", "validation", "apps"),
     "images": ("integrators", "rendering"),
     "composition": ("scene",),
@@ -24,6 +24,7 @@ FLOORS = {
 
 WORDS = {
     "__main__": "python -m djpt",
+    "benchmarks": "djpt.benchmarks",
     "djpt": "public names",
     "scenes": "built-in scenes",
     "mitsuba": "names for scripts",

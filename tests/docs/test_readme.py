@@ -44,6 +44,7 @@ def commands() -> list[str]:
 
 
 SMALLER = {
+    "benchmarks": ["--width", "16", "--spp", "2", "--pairs", "1"],
     "compare": ["--spp", "16", "--rmse", "0.2"],
     "gallery": ["--size", "32", "--spp", "4"],
     "gradcheck": ["--width", "16", "--spp", "16", "--seeds", "4", "--most-seeds", "4"],
@@ -80,7 +81,7 @@ def test_the_commands_are_understood(command: str) -> None:
 def test_the_commands_run(command: str, tmp_path: Path) -> None:
     arguments = shlex.split(command, comments=True)[1:]
     arguments += SMALLER.get(arguments[0], [])
-    if arguments[0] == "compare":
+    if arguments[0] in ("benchmarks", "compare"):
         pytest.importorskip("mitsuba")
     if "--denoise" in arguments:
         pytest.importorskip("mitsuba_oidn", exc_type=ImportError)

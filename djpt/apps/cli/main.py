@@ -25,6 +25,7 @@ from djpt.errors import near_miss
 if TYPE_CHECKING:
     from djpt.apps.cli.animation import animate as animate
     from djpt.apps.cli.animation import turntable as turntable
+    from djpt.apps.cli.benchmarks import command as benchmarks
     from djpt.apps.cli.compare import command as compare
     from djpt.apps.cli.doctor import command as doctor
     from djpt.apps.cli.gradcheck import command as gradcheck
@@ -50,7 +51,7 @@ command_named = lazily(__name__)[0]
 
 COMMANDS = (
     *("render", "view", "worker", "merge", "denoise", "tonemap", "compare", "gradcheck", "validate"),
-    *("info", "scenes", "gallery", "doctor"),
+    *("info", "scenes", "gallery", "doctor", "benchmarks"),
     *("turntable", "animate", "ladder", "bounces", "spp", "strategies"),
 )
 """The commands in the order of the help."""

@@ -1,14 +1,13 @@
-"""What `scenes.py` prints: a row per scene, and what the rows have in common."""
+"""The table of the benchmarks: a row per scene, and what the rows have in common."""
 
 from __future__ import annotations
 
-import math
 import statistics
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-__all__ = ["HEADING", "SceneRow", "line", "markdown", "numbers", "summary"]
+__all__ = ["HEADING", "RATIOS", "SceneRow", "line", "numbers", "summary"]
 
 EQUAL = 0.99
 """Images of one seed agree if this share of their pixels does; rounding changes some paths."""
@@ -20,7 +19,9 @@ class SceneRow:
 
     name: str
     load: tuple[float, float] | None = None
-    """Medians of loading the file."""
+    """The first load in a process."""
+    load_again: tuple[float, float] | None = None
+    """The median of further loads."""
     first: tuple[float, float] | None = None
     """The first image, with an empty kernel cache."""
     image: list[tuple[float, float]] = field(default_factory=list)
@@ -39,16 +40,16 @@ class SceneRow:
 
     @classmethod
     def of(cls, name: str, found: dict[str, Any]) -> SceneRow:
-        """The row that the results of `one_scene.py` make."""
+        """The row that the results of `one_scene` make."""
         row = cls(name, failures=dict(found.get("failures", {})))
-        for key in ("load", "first"):
+        for key in ("load", "load_again", "first"):
             times = found.get(key, {})
             if "mitsuba" in times and "djpt" in times:
                 setattr(row, key, (times["mitsuba"], times["djpt"]))
         row.image = [(theirs, ours) for theirs, ours in found.get("image", [])]
         for key in ("equal", "bias", "bias_in_errors", "rmse"):
             setattr(row, key, found.get(key))
-        row.more = {key: found[key] for key in ("spp", "shape", "kernels", "first_kernels") if key in found}
+        row.more = {key: found[key] for key in ("spp", "shape", "optimize", "kernels", "first_kernels") if key in found}
         return row
 
     @property
@@ -58,8 +59,13 @@ class SceneRow:
 
     @property
     def load_ratio(self) -> float | None:
-        """Mitsuba's time / djpt's for loading."""
+        """Mitsuba's time / djpt's for the first load."""
         return self.load[0] / self.load[1] if self.load else None
+
+    @property
+    def load_again_ratio(self) -> float | None:
+        """Mitsuba's time / djpt's for further loads."""
+        return self.load_again[0] / self.load_again[1] if self.load_again else None
 
     @property
     def first_ratio(self) -> float | None:
@@ -72,9 +78,18 @@ class SceneRow:
         return self.equal is not None and self.equal < EQUAL
 
 
+RATIOS = {
+    "image": "ratio",
+    "first image": "first_ratio",
+    "first load": "load_ratio",
+    "further loads": "load_again_ratio",
+}
+"""What is compared, with the properties of rows that tell it."""
+
+
 def numbers(row: SceneRow) -> dict[str, Any]:
     """A row for JSON."""
-    ratios = {"ratio": row.ratio, "load_ratio": row.load_ratio, "first_ratio": row.first_ratio}
+    ratios = {name: getattr(row, name) for name in RATIOS.values()}
     return {**asdict(row), **ratios}
 
 
@@ -111,18 +126,11 @@ def line(row: SceneRow) -> str:
     return text + "".join(f"\n    {who}: {why[:300]}" for who, why in row.failures.items())
 
 
-def markdown(rows: Sequence[SceneRow]) -> str:
-    """The scenes that both renderers show, as a table of Markdown."""
-    names = ["scene", *(name for name, _ in COLUMNS)]
-    lines = [f"| {' | '.join(names)} |", "|---" * len(names) + "|"]
-    lines += [f"| {row.name} | {' | '.join(cell(row) for _, cell in COLUMNS)} |" for row in rows if row.image]
-    return "\n".join(lines)
-
-
 def summary(rows: Sequence[SceneRow]) -> Iterator[str]:
     """What the rows have in common: quantiles, means, the slowest, those that differ, those that fail."""
-    yield "\nMitsuba / djpt      smallest     10 %     25 %   median     75 %     90 %  largest   geometric mean"
-    for what, ratio in (("image", "ratio"), ("first image", "first_ratio"), ("loading", "load_ratio")):
+    yield ""
+    yield "Mitsuba / djpt      smallest     10 %     25 %   median     75 %     90 %  largest   geometric mean"
+    for what, ratio in RATIOS.items():
         values = sorted(value for row in rows if (value := getattr(row, ratio)) is not None)
         if values:
             shares = " ".join(f"{_quantile(values, q):8.2f}" for q in (0, 0.1, 0.25, 0.5, 0.75, 0.9, 1))
@@ -130,20 +138,26 @@ def summary(rows: Sequence[SceneRow]) -> Iterator[str]:
 
     shown = sorted((row for row in rows if row.image), key=lambda row: row.ratio or 0)
     if shown:
-        yield f"\nThe slowest tenth of {len(shown)}:"
-        for row in shown[: math.ceil(len(shown) / 10)]:
+        slower = [row for row in shown if (row.ratio or 0) < 1]
+        yield ""
+        yield f"Slower than Mitsuba: {len(slower)} of {len(shown)}"
+        for row in slower:
             yield f"  {row.ratio:5.2f}  {row.name}  ({_kernels(row)})"
     different = [row for row in rows if row.differs]
-    yield f"\nLess than {EQUAL:.0%} of the pixels are equal ({len(different)}):"
+    equal = [row.equal for row in rows if row.equal is not None]
+    if equal:
+        yield ""
+        yield f"Equal pixels at equal seeds: {statistics.median(equal):.2%} in the median scene"
+        yield f"Below {EQUAL:.0%}: {len(different)}"
     for row in sorted(different, key=lambda row: row.equal or 0):
         yield (
             f"  {row.equal:7.2%}  {row.name}: bias {row.bias:+.1e} ({row.bias_in_errors:+.1f} standard errors), "
             f"RMSE {row.rmse:.1e}"
         )
     failed = [row for row in rows if row.failures]
-    yield f"\nNot shown by both ({len(failed)}):"
-    for row in failed:
-        yield from (f"  {row.name}: {who}: {why[:300]}" for who, why in row.failures.items())
+    if failed:
+        yield ""
+        yield f"Not rendered by both: {len(failed)}"
 
 
 def _quantile(values: Sequence[float], share: float) -> float:
