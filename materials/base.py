@@ -208,6 +208,10 @@ class BSDF(Plugin):
         sample, weight = self.sample(ctx, si, sample1, sample2, active)
         return value, pdf, sample, weight
 
+    def at_point(self, ctx: BSDFContext, si: SurfaceInteraction3f, active: Bool | bool) -> BSDFAtPoint:
+        """The BSDF at `si`, seen from `si.wi`, to be evaluated and sampled: what BSDFs ask of those nested in them."""
+        return CalledAtPoint(self, ctx, si, active)
+
     def eval_null_transmission(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
         """The fraction of light that passes straight through the surface, by a `Null` lobe."""
         return Color3f(0)
@@ -268,12 +272,38 @@ class BSDFAtPoint(Protocol):
         """A sampled direction and its weight."""
 
 
+class CalledAtPoint:
+    """A BSDF at one point by its methods, for BSDFs that have no work to share between them."""
+
+    def __init__(self, bsdf: BSDF, ctx: BSDFContext, si: SurfaceInteraction3f, active: Bool | bool) -> None:
+        self._bsdf, self._ctx, self._si, self._active = bsdf, ctx, si, active
+
+    def eval_pdf(self, wo: Vector3f) -> tuple[Color3f, Float]:
+        return self._bsdf.eval_pdf(self._ctx, self._si, wo, self._active)
+
+    def sample(self, sample1: Float, sample2: Point2f) -> tuple[BSDFSample3f, Color3f]:
+        return self._bsdf.sample(self._ctx, self._si, sample1, sample2, self._active)
+
+
+class BlackAtPoint:
+    """A BSDF that scatters nothing: none of its lobes is asked for."""
+
+    def eval_pdf(self, wo: Vector3f) -> tuple[Color3f, Float]:
+        return Color3f(0), Float(0)
+
+    def sample(self, sample1: Float, sample2: Point2f) -> tuple[BSDFSample3f, Color3f]:
+        return BSDFSample3f.none(), Color3f(0)
+
+
 class SharedWorkBSDF(BSDF):
     """A BSDF with one method to override, `at`, which computes once all that depends on `wi` and the point alone."""
 
     def at(self, ctx: BSDFContext, si: SurfaceInteraction3f, active: Bool | bool) -> BSDFAtPoint:
         """The BSDF at `si`, seen from `si.wi`."""
         raise NotImplementedError
+
+    def at_point(self, ctx: BSDFContext, si: SurfaceInteraction3f, active: Bool | bool) -> BSDFAtPoint:
+        return self.at(ctx, si, active) if self.is_asked(ctx) else BlackAtPoint()
 
     def sample(
         self,
@@ -283,16 +313,12 @@ class SharedWorkBSDF(BSDF):
         sample2: Point2f,
         active: Bool | bool = True,
     ) -> tuple[BSDFSample3f, Color3f]:
-        if not self.is_asked(ctx):
-            return BSDFSample3f.none(), Color3f(0)
-        return self.at(ctx, si, active).sample(sample1, sample2)
+        return self.at_point(ctx, si, active).sample(sample1, sample2)
 
     def eval_pdf(
         self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
     ) -> tuple[Color3f, Float]:
-        if not self.is_asked(ctx):
-            return Color3f(0), Float(0)
-        return self.at(ctx, si, active).eval_pdf(wo)
+        return self.at_point(ctx, si, active).eval_pdf(wo)
 
     def eval_pdf_sample(
         self,
@@ -303,20 +329,33 @@ class SharedWorkBSDF(BSDF):
         sample2: Point2f,
         active: Bool | bool = True,
     ) -> tuple[Color3f, Float, BSDFSample3f, Color3f]:
-        if not self.is_asked(ctx):
-            return Color3f(0), Float(0), BSDFSample3f.none(), Color3f(0)
-        here = self.at(ctx, si, active)
+        here = self.at_point(ctx, si, active)
         return *here.eval_pdf(wo), *here.sample(sample1, sample2)
 
 
 class DeltaBSDF(BSDF):
     """A BSDF whose lobes are all delta distributions: only `sample` finds their directions, `eval` and `pdf` are 0."""
 
-    def eval(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Color3f:
-        return Color3f(0)
+    def bounce(
+        self, ctx: BSDFContext, si: SurfaceInteraction3f, sample1: Float, active: Bool | bool
+    ) -> tuple[BSDFSample3f, Color3f]:
+        """The result of `sample` where a lobe is asked for: what to override."""
+        raise NotImplementedError
 
-    def pdf(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Float:
-        return Float(0)
+    def sample(
+        self,
+        ctx: BSDFContext,
+        si: SurfaceInteraction3f,
+        sample1: Float,
+        sample2: Point2f,
+        active: Bool | bool = True,
+    ) -> tuple[BSDFSample3f, Color3f]:
+        return self.bounce(ctx, si, sample1, active) if self.is_asked(ctx) else BlackAtPoint().sample(sample1, sample2)
+
+    def eval_pdf(
+        self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
+    ) -> tuple[Color3f, Float]:
+        return Color3f(0), Float(0)
 
 
 def nested_bsdfs(props: Properties, count: int) -> list[Any]:
@@ -331,7 +370,7 @@ def nested_bsdfs(props: Properties, count: int) -> list[Any]:
     return found
 
 
-class NestingBSDF(BSDF):
+class NestingBSDF(SharedWorkBSDF):
     """A BSDF that changes one other, `nested_bsdf`: the body has the matter of that one, and its albedo is shown."""
 
     children: ClassVar[Sequence[str]] = ("nested_bsdf",)

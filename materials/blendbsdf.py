@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import drjit as dr
 
 from djpt.core.records import ALL_COMPONENTS, BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f, has_flag
 from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Vector3f
-from djpt.materials.base import BSDF, derivative_of_choice, nested_bsdfs
+from djpt.materials.base import BSDF, BSDFAtPoint, SharedWorkBSDF, derivative_of_choice, nested_bsdfs
 from djpt.materials.mask import rescaled, unit_interval
 
 __all__ = ["BlendBSDF"]
 
-Sampled = tuple[BSDFSample3f, Color3f]
-"""The result of `sample`: the sample and its weight."""
 
-
-class BlendBSDF(BSDF):
+class BlendBSDF(SharedWorkBSDF):
     """f = (1 - weight) f_0 + weight f_1.
 
     Parameters: `weight` (scalar texture, default 0.5; values are clipped to [0, 1]) and two nested BSDFs, under
@@ -47,38 +47,71 @@ class BlendBSDF(BSDF):
     def components(self) -> tuple[int, ...]:
         return self.bsdf_0.components() + self.bsdf_1.components()
 
-    def _weight(self, si: SurfaceInteraction3f, active: Bool | bool) -> Float:
+    def weight_at(self, si: SurfaceInteraction3f, active: Bool | bool) -> Float:
+        """The weight in [0, 1]."""
         return unit_interval(self.weight.eval_1(si, active))
 
-    def _only(
-        self, ctx: BSDFContext, si: SurfaceInteraction3f, active: Bool | bool
-    ) -> tuple[BSDF, BSDFContext, Float] | None:
-        """The nested BSDF that has the only lobe asked for, its context and its fraction; None if lobes of both are."""
+    def at(self, ctx: BSDFContext, si: SurfaceInteraction3f, active: Bool | bool) -> BSDFAtPoint:
+        weight, first = self.weight_at(si, active), self.bsdf_0.component_count()
         if ctx.component == ALL_COMPONENTS:
-            return None
-        weight, first = self._weight(si, active), self.bsdf_0.component_count()
+            parts = [bsdf.at_point(ctx, si, active) for bsdf in (self.bsdf_0, self.bsdf_1)]
+            return BlendAtPoint(parts, weight, has_flag(self.flags(), BSDFFlags.Smooth))
         if ctx.component < first:
-            return self.bsdf_0, ctx, 1 - weight
-        return self.bsdf_1, ctx.of_part(first), weight
+            return PartAtPoint(self.bsdf_0.at_point(ctx, si, active), 1 - weight)
+        return PartAtPoint(self.bsdf_1.at_point(ctx.of_part(first), si, active), weight)
 
-    def _choose(
-        self,
-        ctx: BSDFContext,
-        si: SurfaceInteraction3f,
-        sample1: Float,
-        weight: Float,
-        first: Sampled,
-        second: Sampled,
-        active: Bool | bool,
-    ) -> Sampled:
-        """The result of `sample`, given samples of both BSDFs."""
+    def eval_null_transmission(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
+        first, second = (bsdf.eval_null_transmission(si, active) for bsdf in (self.bsdf_0, self.bsdf_1))
+        return dr.lerp(first, second, self.weight_at(si, active))
+
+    def transmittance(self, distance: Float) -> Color3f:
+        return self.bsdf_0.transmittance(distance) * self.bsdf_1.transmittance(distance)
+
+    def eval_diffuse_reflectance(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
+        first, second = (bsdf.eval_diffuse_reflectance(si, active) for bsdf in (self.bsdf_0, self.bsdf_1))
+        return dr.lerp(first, second, self.weight_at(si, active))
+
+
+@dataclass
+class PartAtPoint:
+    """The one nested BSDF that has the only lobe asked for, with its fraction of the mixture."""
+
+    part: BSDFAtPoint
+    share: Float
+
+    def eval_pdf(self, wo: Vector3f) -> tuple[Color3f, Float]:
+        value, pdf = self.part.eval_pdf(wo)
+        return value * self.share, pdf
+
+    def sample(self, sample1: Float, sample2: Point2f) -> tuple[BSDFSample3f, Color3f]:
+        bs, value = self.part.sample(sample1, sample2)
+        return bs, value * self.share
+
+
+@dataclass
+class BlendAtPoint:
+    """Both nested BSDFs at one point, seen from `wi`, and the weight of the second."""
+
+    parts: Sequence[BSDFAtPoint]
+    weight: Float
+    smooth: bool
+    """True if one of them has lobes with a density."""
+
+    def eval_pdf(self, wo: Vector3f) -> tuple[Color3f, Float]:
+        (value_0, pdf_0), (value_1, pdf_1) = (part.eval_pdf(wo) for part in self.parts)
+        return dr.lerp(value_0, value_1, self.weight), dr.lerp(pdf_0, pdf_1, self.weight)
+
+    def sample(self, sample1: Float, sample2: Point2f) -> tuple[BSDFSample3f, Color3f]:
+        weight = self.weight
+        first = self.parts[0].sample(rescaled(sample1 - weight, 1 - weight), sample2)
+        second = self.parts[1].sample(rescaled(sample1, weight), sample2)
         is_second = (sample1 <= weight) & (weight > 0)
         bs, value = dr.select(is_second, second, first)
         share = dr.select(is_second, weight, 1 - weight)
         pdf, ratio = share * bs.pdf, value * derivative_of_choice(share)
-        if has_flag(self.flags(), BSDFFlags.Smooth):
+        if self.smooth:
             # The other BSDF would have found this direction, too.
-            of_first, of_second = (bsdf.eval_pdf(ctx, si, bs.wo, active) for bsdf in (self.bsdf_0, self.bsdf_1))
+            of_first, of_second = (part.eval_pdf(bs.wo) for part in self.parts)
             other_value, other_pdf = dr.select(is_second, of_first, of_second)
             mixed_pdf = dr.fma(1 - share, other_pdf, pdf)
             mixed = (value * pdf + other_value * (1 - share)) * dr.rcp(dr.select(mixed_pdf > 0, mixed_pdf, 1))
@@ -86,66 +119,6 @@ class BlendBSDF(BSDF):
             ratio = dr.select(delta, ratio, dr.select(bs.pdf > 0, mixed, 0))
             pdf = dr.select(delta | (bs.pdf <= 0), pdf, mixed_pdf)
         return bs.replaced(pdf=pdf), ratio
-
-    def sample(
-        self,
-        ctx: BSDFContext,
-        si: SurfaceInteraction3f,
-        sample1: Float,
-        sample2: Point2f,
-        active: Bool | bool = True,
-    ) -> Sampled:
-        only = self._only(ctx, si, active)
-        if only is not None:
-            bsdf, ctx, share = only
-            bs, value = bsdf.sample(ctx, si, sample1, sample2, active)
-            return bs, value * share
-        weight = self._weight(si, active)
-        first = self.bsdf_0.sample(ctx, si, rescaled(sample1 - weight, 1 - weight), sample2, active)
-        second = self.bsdf_1.sample(ctx, si, rescaled(sample1, weight), sample2, active)
-        return self._choose(ctx, si, sample1, weight, first, second, active)
-
-    def eval_pdf(
-        self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
-    ) -> tuple[Color3f, Float]:
-        only = self._only(ctx, si, active)
-        if only is not None:
-            bsdf, ctx, share = only
-            value, pdf = bsdf.eval_pdf(ctx, si, wo, active)
-            return value * share, pdf
-        weight = self._weight(si, active)
-        value_0, pdf_0 = self.bsdf_0.eval_pdf(ctx, si, wo, active)
-        value_1, pdf_1 = self.bsdf_1.eval_pdf(ctx, si, wo, active)
-        return dr.lerp(value_0, value_1, weight), dr.lerp(pdf_0, pdf_1, weight)
-
-    def eval_pdf_sample(
-        self,
-        ctx: BSDFContext,
-        si: SurfaceInteraction3f,
-        wo: Vector3f,
-        sample1: Float,
-        sample2: Point2f,
-        active: Bool | bool = True,
-    ) -> tuple[Color3f, Float, BSDFSample3f, Color3f]:
-        if ctx.component != ALL_COMPONENTS:
-            return super().eval_pdf_sample(ctx, si, wo, sample1, sample2, active)
-        weight = self._weight(si, active)
-        sample_0, sample_1 = rescaled(sample1 - weight, 1 - weight), rescaled(sample1, weight)
-        value_0, pdf_0, bs_0, weight_0 = self.bsdf_0.eval_pdf_sample(ctx, si, wo, sample_0, sample2, active)
-        value_1, pdf_1, bs_1, weight_1 = self.bsdf_1.eval_pdf_sample(ctx, si, wo, sample_1, sample2, active)
-        bs, ratio = self._choose(ctx, si, sample1, weight, (bs_0, weight_0), (bs_1, weight_1), active)
-        return dr.lerp(value_0, value_1, weight), dr.lerp(pdf_0, pdf_1, weight), bs, ratio
-
-    def eval_null_transmission(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
-        first, second = (bsdf.eval_null_transmission(si, active) for bsdf in (self.bsdf_0, self.bsdf_1))
-        return dr.lerp(first, second, self._weight(si, active))
-
-    def transmittance(self, distance: Float) -> Color3f:
-        return self.bsdf_0.transmittance(distance) * self.bsdf_1.transmittance(distance)
-
-    def eval_diffuse_reflectance(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
-        first, second = (bsdf.eval_diffuse_reflectance(si, active) for bsdf in (self.bsdf_0, self.bsdf_1))
-        return dr.lerp(first, second, self._weight(si, active))
 
 
 register_bsdf("blendbsdf", BlendBSDF)

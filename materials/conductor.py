@@ -7,7 +7,7 @@ import drjit as dr
 from djpt.core.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
 from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
-from djpt.jit.types import Bool, Color3f, Float, Point2f
+from djpt.jit.types import Bool, Color3f, Float
 from djpt.materials.base import DeltaBSDF
 from djpt.materials.fresnel import fresnel_conductor, reflect
 from djpt.materials.ior import metal
@@ -40,16 +40,9 @@ class Conductor(DeltaBSDF):
         fresnel = fresnel_conductor(si.wi.z, self.eta.eval(si, active), self.k.eval(si, active))
         return self.specular_reflectance.eval(si, active) * fresnel
 
-    def sample(
-        self,
-        ctx: BSDFContext,
-        si: SurfaceInteraction3f,
-        sample1: Float,
-        sample2: Point2f,
-        active: Bool | bool = True,
+    def bounce(
+        self, ctx: BSDFContext, si: SurfaceInteraction3f, sample1: Float, active: Bool | bool
     ) -> tuple[BSDFSample3f, Color3f]:
-        if not self.is_asked(ctx):
-            return BSDFSample3f.none(), Color3f(0)
         weight = dr.select(si.wi.z > 0, self.reflectance_at(si, active), 0)
         return BSDFSample3f.of(reflect(si.wi), 1, BSDFFlags.DeltaReflection), weight
 

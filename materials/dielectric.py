@@ -12,7 +12,7 @@ from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
 from djpt.jit.kernels import as_float
-from djpt.jit.types import Bool, Color3f, Float, Point2f
+from djpt.jit.types import Bool, Color3f, Float
 from djpt.materials.base import DeltaBSDF, derivative_of_choice
 from djpt.materials.fresnel import fresnel, reflect, refract
 from djpt.materials.ior import check_eta, ior
@@ -73,31 +73,14 @@ class Dielectric(DeltaBSDF):
         """The results of `fresnel` for this interface."""
         return fresnel(cos_theta_i, self.eta)
 
-    def sample(
-        self,
-        ctx: BSDFContext,
-        si: SurfaceInteraction3f,
-        sample1: Float,
-        sample2: Point2f,
-        active: Bool | bool = True,
+    def bounce(
+        self, ctx: BSDFContext, si: SurfaceInteraction3f, sample1: Float, active: Bool | bool
     ) -> tuple[BSDFSample3f, Color3f]:
-        return self.chosen_lobe(ctx, si, sample1, active, *self.asked(ctx))
-
-    def chosen_lobe(
-        self,
-        ctx: BSDFContext,
-        si: SurfaceInteraction3f,
-        sample1: Float,
-        active: Bool | bool,
-        reflects: bool,
-        transmits: bool,
-    ) -> tuple[BSDFSample3f, Color3f]:
-        """A sample of the lobes that are wanted: of one alone always that, with what it has of the whole as weight."""
-        if not (reflects or transmits):
-            return BSDFSample3f.none(), Color3f(0)
         (bs_r, weight_r), (bs_t, weight_t), share = self.lobes(ctx, si, active)
-        if not (reflects and transmits):
-            return (bs_r, weight_r * share) if reflects else (bs_t, weight_t * (1 - share))
+        asked = [lobe for lobe, wanted in zip(self.components(), self.asked(ctx), strict=True) if wanted]
+        if len(asked) == 1:
+            # One lobe alone is always chosen, with its fraction of the whole as weight.
+            return (bs_r, weight_r * share) if asked == [REFLECTION] else (bs_t, weight_t * (1 - share))
         # Not <=: what reflects nothing mustn't be chosen even if the sample is 0.
         chosen = sample1 < share
         bs_r.pdf, bs_t.pdf = share, 1 - share

@@ -8,7 +8,7 @@ from typing import ClassVar
 from djpt.core.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
 from djpt.description.plugin import TraversalCallback
 from djpt.description.properties import Properties
-from djpt.jit.types import Bool, Color3f, Float, Point2f
+from djpt.jit.types import Bool, Color3f, Float
 from djpt.materials.base import DeltaBSDF
 
 __all__ = ["Filter"]
@@ -39,16 +39,9 @@ class Filter(DeltaBSDF):
     def components(self) -> tuple[int, ...]:
         return (self.lobe,)
 
-    def sample(
-        self,
-        ctx: BSDFContext,
-        si: SurfaceInteraction3f,
-        sample1: Float,
-        sample2: Point2f,
-        active: Bool | bool = True,
+    def bounce(
+        self, ctx: BSDFContext, si: SurfaceInteraction3f, sample1: Float, active: Bool | bool
     ) -> tuple[BSDFSample3f, Color3f]:
-        if not self.is_asked(ctx):
-            return BSDFSample3f.none(), Color3f(0)
         return BSDFSample3f.of(-si.wi, 1, BSDFFlags.Null), self.eval_null_transmission(si, active)
 
     def eval_null_transmission(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:

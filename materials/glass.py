@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from djpt.core.records import BSDFContext, BSDFSample3f, SurfaceInteraction3f
 from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
 from djpt.errors import SceneError
-from djpt.jit.types import Bool, Color3f, Float, Point2f
+from djpt.jit.types import Float
 from djpt.materials.dielectric import REFLECTION, TRANSMISSION, Dielectric
 from djpt.materials.fresnel import fresnel, fresnel_schlick
 
@@ -44,17 +43,6 @@ class Glass(Dielectric):
 
     def interface(self, cos_theta_i: Float) -> tuple[Float, Float, Float, Float]:
         return (fresnel_schlick if self.fresnel == "schlick" else fresnel)(cos_theta_i, self.eta)
-
-    def sample(
-        self,
-        ctx: BSDFContext,
-        si: SurfaceInteraction3f,
-        sample1: Float,
-        sample2: Point2f,
-        active: Bool | bool = True,
-    ) -> tuple[BSDFSample3f, Color3f]:
-        asked = dict(zip(self.components(), self.asked(ctx), strict=True))
-        return self.chosen_lobe(ctx, si, sample1, active, asked.get(REFLECTION, False), asked.get(TRANSMISSION, False))
 
 
 register_bsdf("glass", Glass)

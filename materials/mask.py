@@ -9,7 +9,7 @@ from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
 from djpt.jit.kernels import minimum
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Vector3f
-from djpt.materials.base import NestingBSDF, derivative_of_choice
+from djpt.materials.base import BSDFAtPoint, NestingBSDF, derivative_of_choice
 
 __all__ = ["Mask", "rescaled", "unit_interval"]
 
@@ -39,79 +39,43 @@ class Mask(NestingBSDF):
         null = int(BSDFFlags.Null | BSDFFlags.FrontSide | BSDFFlags.BackSide)
         return (*self.nested_bsdf.components(), null)
 
-    def _opacity(self, si: SurfaceInteraction3f, active: Bool | bool) -> Float:
+    def opacity_at(self, si: SurfaceInteraction3f, active: Bool | bool) -> Float:
+        """The opacity in [0, 1]."""
         return unit_interval(self.opacity.eval_1(si, active))
 
-    def _choose(
-        self, si: SurfaceInteraction3f, sample1: Float, opacity: Float, nested: BSDFSample3f, weight: Color3f
-    ) -> tuple[BSDFSample3f, Color3f]:
-        """The result of `sample`, given the nested sample."""
-        hit = sample1 < opacity
-        null = BSDFSample3f.of(
-            -si.wi, 1 - opacity, BSDFFlags.Null, sampled_component=self.nested_bsdf.component_count()
-        )
-        bs: BSDFSample3f = dr.select(hit, nested.replaced(pdf=nested.pdf * opacity), null)
-        return bs, dr.select(hit, weight * derivative_of_choice(opacity), derivative_of_choice(1 - opacity))
-
-    def sample(
-        self,
-        ctx: BSDFContext,
-        si: SurfaceInteraction3f,
-        sample1: Float,
-        sample2: Point2f,
-        active: Bool | bool = True,
-    ) -> tuple[BSDFSample3f, Color3f]:
-        opacity = self._opacity(si, active)
-        nested_too, null_too = self._asked(ctx)
-        if not null_too:
-            bs, weight = self.nested_bsdf.sample(ctx, si, sample1, sample2, active)
-            return bs, weight * opacity
-        if not nested_too:
-            last = self.nested_bsdf.component_count()
-            return BSDFSample3f.of(-si.wi, 1, BSDFFlags.Null, sampled_component=last), Color3f(1 - opacity)
-        nested = self.nested_bsdf.sample(ctx, si, rescaled(sample1, opacity), sample2, active)
-        return self._choose(si, sample1, opacity, *nested)
-
-    def _asked(self, ctx: BSDFContext) -> tuple[bool, bool]:
-        """Two flags: True if a context asks for a lobe of the nested BSDF; True if it asks for the way straight on."""
-        asked = self.asked(ctx)
-        return any(asked[:-1]), asked[-1]
-
-    def eval(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Color3f:
-        return self.nested_bsdf.eval(ctx, si, wo, active) * self._opacity(si, active)
-
-    def pdf(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Float:
-        pdf = self.nested_bsdf.pdf(ctx, si, wo, active)
-        return pdf * self._opacity(si, active) if self._asked(ctx)[1] else pdf
-
-    def eval_pdf(
-        self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
-    ) -> tuple[Color3f, Float]:
-        opacity = self._opacity(si, active)
-        value, pdf = self.nested_bsdf.eval_pdf(ctx, si, wo, active)
-        return value * opacity, pdf * opacity if self._asked(ctx)[1] else pdf
-
-    def eval_pdf_sample(
-        self,
-        ctx: BSDFContext,
-        si: SurfaceInteraction3f,
-        wo: Vector3f,
-        sample1: Float,
-        sample2: Point2f,
-        active: Bool | bool = True,
-    ) -> tuple[Color3f, Float, BSDFSample3f, Color3f]:
-        if not all(self._asked(ctx)):
-            return super().eval_pdf_sample(ctx, si, wo, sample1, sample2, active)
-        opacity = self._opacity(si, active)
-        value, pdf, nested, weight = self.nested_bsdf.eval_pdf_sample(
-            ctx, si, wo, rescaled(sample1, opacity), sample2, active
-        )
-        bs, weight = self._choose(si, sample1, opacity, nested, weight)
-        return value * opacity, pdf * opacity, bs, weight
+    def at(self, ctx: BSDFContext, si: SurfaceInteraction3f, active: Bool | bool) -> BSDFAtPoint:
+        return MaskAtPoint(self, ctx, si, active)
 
     def eval_null_transmission(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
-        opacity = self._opacity(si, active)
+        opacity = self.opacity_at(si, active)
         return 1 - opacity * (1 - self.nested_bsdf.eval_null_transmission(si, active))
+
+
+class MaskAtPoint:
+    """A `Mask` at one point, seen from `wi`: the work that evaluation and sampling share."""
+
+    def __init__(self, bsdf: Mask, ctx: BSDFContext, si: SurfaceInteraction3f, active: Bool | bool) -> None:
+        *of_nested, self.passes = bsdf.asked(ctx)
+        self.scatters, self.last = any(of_nested), len(of_nested)
+        self.opacity, self.wi = bsdf.opacity_at(si, active), si.wi
+        self.nested = bsdf.nested_bsdf.at_point(ctx, si, active)
+
+    def eval_pdf(self, wo: Vector3f) -> tuple[Color3f, Float]:
+        value, pdf = self.nested.eval_pdf(wo)
+        return value * self.opacity, pdf * self.opacity if self.passes else pdf
+
+    def sample(self, sample1: Float, sample2: Point2f) -> tuple[BSDFSample3f, Color3f]:
+        opacity = self.opacity
+        if not self.passes:
+            bs, weight = self.nested.sample(sample1, sample2)
+            return bs, weight * opacity
+        if not self.scatters:
+            return BSDFSample3f.of(-self.wi, 1, BSDFFlags.Null, sampled_component=self.last), Color3f(1 - opacity)
+        nested, weight = self.nested.sample(rescaled(sample1, opacity), sample2)
+        hit = sample1 < opacity
+        null = BSDFSample3f.of(-self.wi, 1 - opacity, BSDFFlags.Null, sampled_component=self.last)
+        bs = dr.select(hit, nested.replaced(pdf=nested.pdf * opacity), null)
+        return bs, dr.select(hit, weight * derivative_of_choice(opacity), derivative_of_choice(1 - opacity))
 
 
 def unit_interval(x: Float) -> Float:

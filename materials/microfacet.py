@@ -3,19 +3,28 @@
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Any, Final
 
 import drjit as dr
 
-from djpt.core.records import BSDFFlags, BSDFSample3f
+from djpt.core.records import BSDFFlags, BSDFSample3f, SurfaceInteraction3f
 from djpt.core.warp import square_to_cosine_hemisphere, square_to_uniform_disk_concentric
 from djpt.description.properties import Properties
 from djpt.errors import SceneError, near_miss
 from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, UInt32, Vector2f, Vector3f
+from djpt.materials.base import SharedWorkBSDF
 from djpt.materials.fresnel import reflect
 from djpt.textures.base import Texture
 
-__all__ = ["MIN_ALPHA", "MicrofacetDistribution", "RoughCoatAtPoint", "alpha_textures", "distribution_name"]
+__all__ = [
+    "ALPHAS",
+    "MIN_ALPHA",
+    "FacetsAtPoint",
+    "MicrofacetDistribution",
+    "RoughBSDF",
+    "RoughCoatAtPoint",
+    "distribution_name",
+]
 
 DISTRIBUTIONS: Final = ("beckmann", "ggx")
 
@@ -219,38 +228,62 @@ def distribution_name(props: Properties) -> str:
     return name.lower()
 
 
-def alpha_textures(props: Properties) -> tuple[Texture, Texture | None]:
-    """The textures `alpha_u` and `alpha_v`, in [0, 1]; for one `alpha` (default 0.1) that texture and None.
+ALPHAS: Final = ("alpha", "alpha_u", "alpha_v")
+"""The attributes of a `RoughBSDF` that are textures of roughness: the first one, or both others; the rest is None."""
 
-    Textures of roughness often hold zeros; the distribution raises what is below `MIN_ALPHA`.
+
+class RoughBSDF(SharedWorkBSDF):
+    """A BSDF with microfacets. Its `children` list `ALPHAS`, in the place where parameters are reported.
+
+    Parameters:
+        distribution: of the microfacets, `beckmann` (default) or `ggx`, in any case.
+        alpha: roughness (scalar texture in [0, 1], default 0.1; at least 1e-4 counts); or
+        alpha_u, alpha_v: roughness along dp/du and dp/dv.
+        sample_visible: sample only microfacets that are seen (default true).
     """
-    pair = [key for key in ("alpha_u", "alpha_v") if key in props]
-    if not pair:
-        return props.texture_1("alpha", 0.1, low=0.0, high=1.0), None
-    if "alpha" in props:
-        raise props.error(
-            "alpha", f"can't be combined with '{pair[0]}': give either 'alpha' or 'alpha_u' and 'alpha_v'"
-        )
-    if len(pair) == 1:
-        other = "alpha_v" if pair == ["alpha_u"] else "alpha_u"
-        raise SceneError(f"{props.node}: '{pair[0]}' needs '{other}' as well; 'alpha' sets both")
-    alpha_u, alpha_v = (props.texture_1(key, low=0.0, high=1.0) for key in ("alpha_u", "alpha_v"))
-    return alpha_u, alpha_v
+
+    statics = ("distribution", "sample_visible")
+    alpha: Texture | None = None
+    alpha_u: Texture | None = None
+    alpha_v: Texture | None = None
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        self.distribution = distribution_name(props)
+        self.sample_visible = props.boolean("sample_visible", True)
+        pair = [key for key in ALPHAS[1:] if key in props]
+        if not pair:
+            self.alpha = props.texture_1("alpha", 0.1, low=0.0, high=1.0)
+            return
+        if "alpha" in props:
+            raise props.error(
+                "alpha", f"can't be combined with '{pair[0]}': give either 'alpha' or 'alpha_u' and 'alpha_v'"
+            )
+        if len(pair) == 1:
+            other = "alpha_v" if pair == ["alpha_u"] else "alpha_u"
+            raise SceneError(f"{props.node}: '{pair[0]}' needs '{other}' as well; 'alpha' sets both")
+        self.alpha_u, self.alpha_v = (props.texture_1(key, low=0.0, high=1.0) for key in pair)
+
+    @property
+    def anisotropy(self) -> BSDFFlags:
+        """`BSDFFlags.Anisotropic` if there are two roughnesses, else no flag."""
+        return BSDFFlags.Empty if self.alpha_v is None else BSDFFlags.Anisotropic
+
+    def microfacets(self, si: SurfaceInteraction3f, active: Bool | bool) -> MicrofacetDistribution:
+        """The distribution of microfacets at a point; textures of roughness often hold zeros, which it raises."""
+        along_u: Any = self.alpha_u if self.alpha is None else self.alpha
+        u = along_u.eval_1(si, active)
+        v = u if self.alpha_v is None else self.alpha_v.eval_1(si, active)
+        return MicrofacetDistribution(self.distribution, u, v, self.sample_visible)
 
 
-class RoughCoatAtPoint:
-    """Samples one of two lobes, facets (component 0) or base (component 1), by a probability that is known before."""
+class FacetsAtPoint:
+    """Rough facets that reflect, at one point, seen from `wi`."""
 
     wi: Vector3f
     surface: MicrofacetDistribution
     g1_i: Float
     """G1(wi) over the cosine of `wi`."""
-    p_specular: Float
-    """The probability of the facets."""
-
-    def eval_pdf(self, wo: Vector3f) -> tuple[Color3f, Float]:
-        """The value of both lobes, f cos theta_o, and the density of `sample`."""
-        raise NotImplementedError
 
     def facets(self, wo: Vector3f) -> tuple[Bool, Float, Float, Float]:
         """The facets that reflect `wi` towards `wo`.
@@ -268,6 +301,17 @@ class RoughCoatAtPoint:
         visible = 0.25 * d * self.g1_i
         pdf = visible if self.surface.sample_visible else d * m.z * 0.25 * dr.rcp(dr.select(ok, cos, 1))
         return ok, cos, visible, pdf
+
+
+class RoughCoatAtPoint(FacetsAtPoint):
+    """Samples one of two lobes, facets (component 0) or base (component 1), by a probability that is known before."""
+
+    p_specular: Float
+    """The probability of the facets."""
+
+    def eval_pdf(self, wo: Vector3f) -> tuple[Color3f, Float]:
+        """The value of both lobes, f cos theta_o, and the density of `sample`."""
+        raise NotImplementedError
 
     def sample(self, sample1: Float, sample2: Point2f) -> tuple[BSDFSample3f, Color3f]:
         """Sample a lobe and a direction of it; the weight is that of both lobes."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from djpt.core.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
 from djpt.description.registry import register_bsdf
-from djpt.jit.types import Bool, Color3f, Float, Point2f
+from djpt.jit.types import Bool, Color3f, Float
 from djpt.materials.base import DeltaBSDF
 
 __all__ = ["Null"]
@@ -23,16 +23,9 @@ class Null(DeltaBSDF):
     def components(self) -> tuple[int, ...]:
         return (int(BSDFFlags.Null | BSDFFlags.FrontSide | BSDFFlags.BackSide),)
 
-    def sample(
-        self,
-        ctx: BSDFContext,
-        si: SurfaceInteraction3f,
-        sample1: Float,
-        sample2: Point2f,
-        active: Bool | bool = True,
+    def bounce(
+        self, ctx: BSDFContext, si: SurfaceInteraction3f, sample1: Float, active: Bool | bool
     ) -> tuple[BSDFSample3f, Color3f]:
-        if not self.is_asked(ctx):
-            return BSDFSample3f.none(), Color3f(0)
         return BSDFSample3f.of(-si.wi, 1, BSDFFlags.Null), Color3f(1)
 
     def eval_null_transmission(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:

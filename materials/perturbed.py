@@ -9,7 +9,7 @@ from djpt.core.records import BSDFContext, BSDFSample3f, SurfaceInteraction3f
 from djpt.description.properties import Properties
 from djpt.jit.kernels import maximum
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Vector3f
-from djpt.materials.base import NestingBSDF
+from djpt.materials.base import BSDFAtPoint, NestingBSDF
 
 __all__ = ["PerturbedBSDF"]
 
@@ -50,7 +50,7 @@ class PerturbedBSDF(NestingBSDF):
         """The direction that the frame's `s` follows, in the shading frame."""
         return Vector3f(1, 0, 0)
 
-    def _tilted(self, si: SurfaceInteraction3f, active: Bool | bool) -> tuple[Frame3f, SurfaceInteraction3f]:
+    def tilted(self, si: SurfaceInteraction3f, active: Bool | bool) -> tuple[Frame3f, SurfaceInteraction3f]:
         """The new frame, relative to the old one, and `si` as the nested BSDF sees it."""
         n = self.normal(si, active)
         if self.flip_invalid_normals:
@@ -62,7 +62,7 @@ class PerturbedBSDF(NestingBSDF):
         world = Frame3f(*(si.sh_frame.to_world(axis) for axis in (frame.s, frame.t, frame.n)))
         return frame, si.replaced(sh_frame=world, wi=frame.to_local(si.wi))
 
-    def _shadowing(self, frame: Frame3f, wo: Vector3f) -> Float:
+    def shadowing(self, frame: Frame3f, wo: Vector3f) -> Float:
         """The masking function of a GGX distribution that is as rough as the normal is tilted."""
         if not self.use_shadowing_function:
             return Float(1)
@@ -71,63 +71,43 @@ class PerturbedBSDF(NestingBSDF):
         return 2 * dr.rcp(1 + dr.sqrt(dr.fma(squared_alpha, squared_tangent(wo.z, TINY), 1)))
 
     def sh_frame(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Frame3f:
-        return self._tilted(si, active)[1].sh_frame
+        return self.tilted(si, active)[1].sh_frame
 
     # ---- the BSDF ------------------------------------------------------------------------
 
     def components(self) -> tuple[int, ...]:
         return self.nested_bsdf.components()
 
-    def sample(
-        self,
-        ctx: BSDFContext,
-        si: SurfaceInteraction3f,
-        sample1: Float,
-        sample2: Point2f,
-        active: Bool | bool = True,
-    ) -> tuple[BSDFSample3f, Color3f]:
-        frame, tilted = self._tilted(si, active)
-        return self._turned_back(frame, *self.nested_bsdf.sample(ctx, tilted, sample1, sample2, active))
+    def at(self, ctx: BSDFContext, si: SurfaceInteraction3f, active: Bool | bool) -> BSDFAtPoint:
+        return PerturbedAtPoint(self, ctx, si, active)
 
-    def _turned_back(self, frame: Frame3f, bs: BSDFSample3f, weight: Color3f) -> tuple[BSDFSample3f, Color3f]:
-        """The nested BSDF's sample in the frame of the surface."""
-        wo = frame.to_world(bs.wo)
+    def eval_null_transmission(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
+        return self.nested_bsdf.eval_null_transmission(self.tilted(si, active)[1], active)
+
+
+class PerturbedAtPoint:
+    """A `PerturbedBSDF` at one point, seen from `wi`: the nested BSDF in the tilted frame."""
+
+    def __init__(self, bsdf: PerturbedBSDF, ctx: BSDFContext, si: SurfaceInteraction3f, active: Bool | bool) -> None:
+        self.bsdf = bsdf
+        self.frame, tilted = bsdf.tilted(si, active)
+        self.nested = bsdf.nested_bsdf.at_point(ctx, tilted, active)
+
+    def eval_pdf(self, wo: Vector3f) -> tuple[Color3f, Float]:
+        local = self.frame.to_local(wo)
+        value, pdf = self.nested.eval_pdf(local)
+        # Where both frames see `wo` on the same side.
+        ok = wo.z * local.z > 0
+        return dr.select(ok, value * self.bsdf.shadowing(self.frame, wo), 0), dr.select(ok, pdf, 0)
+
+    def sample(self, sample1: Float, sample2: Point2f) -> tuple[BSDFSample3f, Color3f]:
+        bs, weight = self.nested.sample(sample1, sample2)
+        wo = self.frame.to_world(bs.wo)
         # Derivatives need the directions of a black BSDF, too.
         sampled = bs.pdf > 0 if dr.grad_enabled(weight) else dr.any(weight != 0)
         ok = (wo.z * bs.wo.z > 0) & sampled
-        weight = dr.select(ok, weight * self._shadowing(frame, wo), 0)
+        weight = dr.select(ok, weight * self.bsdf.shadowing(self.frame, wo), 0)
         return bs.replaced(wo=wo, pdf=dr.select(ok, bs.pdf, 0)), weight
-
-    def eval_pdf(
-        self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
-    ) -> tuple[Color3f, Float]:
-        frame, tilted = self._tilted(si, active)
-        local = frame.to_local(wo)
-        return self._shaded(frame, wo, local, *self.nested_bsdf.eval_pdf(ctx, tilted, local, active))
-
-    def _shaded(
-        self, frame: Frame3f, wo: Vector3f, local: Vector3f, value: Color3f, pdf: Float
-    ) -> tuple[Color3f, Float]:
-        """The nested BSDF's value and density, where both frames see `wo` on the same side."""
-        ok = wo.z * local.z > 0
-        return dr.select(ok, value * self._shadowing(frame, wo), 0), dr.select(ok, pdf, 0)
-
-    def eval_pdf_sample(
-        self,
-        ctx: BSDFContext,
-        si: SurfaceInteraction3f,
-        wo: Vector3f,
-        sample1: Float,
-        sample2: Point2f,
-        active: Bool | bool = True,
-    ) -> tuple[Color3f, Float, BSDFSample3f, Color3f]:
-        frame, tilted = self._tilted(si, active)
-        local = frame.to_local(wo)
-        value, pdf, bs, weight = self.nested_bsdf.eval_pdf_sample(ctx, tilted, local, sample1, sample2, active)
-        return *self._shaded(frame, wo, local, value, pdf), *self._turned_back(frame, bs, weight)
-
-    def eval_null_transmission(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
-        return self.nested_bsdf.eval_null_transmission(self._tilted(si, active)[1], active)
 
 
 def direction(v: Vector3f, otherwise: Vector3f) -> Vector3f:

@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import math
-from typing import ClassVar
 
 import drjit as dr
 
 from djpt.core.records import BSDFContext, BSDFFlags, SurfaceInteraction3f
-from djpt.description.plugin import TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
 from djpt.errors import SceneError
 from djpt.jit.types import Bool, Color3f, Float, Vector3f
-from djpt.materials.base import BSDFAtPoint, SharedWorkBSDF
+from djpt.materials.base import BSDFAtPoint
 from djpt.materials.dielectric import optional_texture, tint
 from djpt.materials.fresnel import fresnel
 from djpt.materials.ior import ior
-from djpt.materials.microfacet import MicrofacetDistribution, RoughCoatAtPoint, alpha_textures, distribution_name
+from djpt.materials.microfacet import ALPHAS, RoughBSDF, RoughCoatAtPoint
 from djpt.textures.base import Texture
 
 __all__ = ["PolarizedPlastic"]
@@ -25,7 +23,7 @@ __all__ = ["PolarizedPlastic"]
 INV_PI = 1 / math.pi
 
 
-class PolarizedPlastic(SharedWorkBSDF):
+class PolarizedPlastic(RoughBSDF):
     """Light is reflected by rough facets, or refracted in, scattered once, and refracted out; black from behind.
 
     With F, D, G and m as for `RoughConductor`, but the F of a dielectric:
@@ -49,32 +47,16 @@ class PolarizedPlastic(SharedWorkBSDF):
 
     in_any_frame = True
     symmetric = True
-    children = ("diffuse_reflectance", "eta", "specular_reflectance", "alpha_u", "alpha_v")
-    statics: ClassVar[tuple[str, ...]] = ("distribution", "sample_visible")
+    children = ("diffuse_reflectance", "eta", "specular_reflectance", *ALPHAS)
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         self.diffuse_reflectance = props.texture("diffuse_reflectance", 0.5, low=0.0, high=1.0)
         self.specular_reflectance = optional_texture(props, "specular_reflectance")
         self.eta = relative_index(props)
-        self.distribution = distribution_name(props)
-        self.sample_visible = props.boolean("sample_visible", True)
-        self.alpha_u, self.alpha_v = alpha_textures(props)
-
-    def traverse(self, callback: TraversalCallback) -> None:
-        callback.put("diffuse_reflectance", self.diffuse_reflectance)
-        callback.put("eta", self.eta)
-        if self.specular_reflectance is not None:
-            callback.put("specular_reflectance", self.specular_reflectance)
-        if self.alpha_v is None:
-            callback.put("alpha", self.alpha_u)
-        else:
-            callback.put("alpha_u", self.alpha_u)
-            callback.put("alpha_v", self.alpha_v)
 
     def components(self) -> tuple[int, ...]:
-        anisotropic = BSDFFlags.Empty if self.alpha_v is None else BSDFFlags.Anisotropic
-        facets, base = BSDFFlags.GlossyReflection | anisotropic, BSDFFlags.DiffuseReflection
+        facets, base = BSDFFlags.GlossyReflection | self.anisotropy, BSDFFlags.DiffuseReflection
         return int(facets | BSDFFlags.FrontSide), int(base | BSDFFlags.FrontSide)
 
     def at(self, ctx: BSDFContext, si: SurfaceInteraction3f, active: Bool | bool) -> BSDFAtPoint:
@@ -89,9 +71,7 @@ class PolarizedPlasticAtPoint(RoughCoatAtPoint):
     ) -> None:
         """`shines` and `scatters`: whether each lobe is asked for."""
         self.shines, self.scatters, self.wi = shines, scatters, si.wi
-        alpha_u = bsdf.alpha_u.eval_1(si, active)
-        alpha_v = alpha_u if bsdf.alpha_v is None else bsdf.alpha_v.eval_1(si, active)
-        self.surface = MicrofacetDistribution(bsdf.distribution, alpha_u, alpha_v, bsdf.sample_visible)
+        self.surface = bsdf.microfacets(si, active)
         self.g1_i = self.surface.smith_g1_over_cos(si.wi)
         self.eta = bsdf.eta.eval_1(si, active)
         self.tint = tint(bsdf.specular_reflectance, si, active)

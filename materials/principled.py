@@ -178,7 +178,7 @@ class Principled(PrincipledBase):
                 specular = dr.select(specular == 0, 1e-3, specular)
         return 2 * dr.rcp(1 - square_root(0.08 * specular)) - 1
 
-    def _look_up(self, si: SurfaceInteraction3f, active: Bool | bool) -> At:
+    def look_up(self, si: SurfaceInteraction3f, active: Bool | bool) -> At:
         scalars = self._scalars(si, active)
         front = si.wi.z > 0
         eta, coat = self._eta(), None
@@ -201,7 +201,7 @@ class Principled(PrincipledBase):
             microfacets=MicrofacetDistribution("ggx", *alphas(roughness, scalars.get("anisotropic"))),
         )
 
-    def _is_seen(self, at: At) -> Bool:
+    def is_seen(self, at: At) -> Bool:
         return at.front | (at.clear > 0) if "spec_trans" in self.given else at.front
 
     # ---- sampling --------------------------------------------------------------------------
@@ -218,7 +218,7 @@ class Principled(PrincipledBase):
             specular = dr.select(at.front, specular, 1)
         return body, coat, specular
 
-    def _draw(self, at: At, wi: Vector3f, sample1: Float, sample2: Point2f) -> tuple[BSDFSample3f, Bool]:
+    def draw(self, at: At, wi: Vector3f, sample1: Float, sample2: Point2f) -> tuple[BSDFSample3f, Bool]:
         body, coat, specular = self._shares(at)
         m = at.microfacets.sample_normal(wi, sample2)
         wo = reflect(wi, m)
@@ -245,7 +245,7 @@ class Principled(PrincipledBase):
 
     # ---- evaluation ------------------------------------------------------------------------
 
-    def _eval_pdf(self, at: At, ctx: BSDFContext, wi: Vector3f, wo: Vector3f) -> tuple[Color3f, Float]:
+    def eval_pdf_mirrored(self, at: At, ctx: BSDFContext, wi: Vector3f, wo: Vector3f) -> tuple[Color3f, Float]:
         scalars, transmits = at.scalars, "spec_trans" in self.given
         reflects = wo.z > 0
         h, length_squared = half_vector(wi, wo * dr.select(reflects, 1, at.eta) if transmits else wo)

@@ -17,7 +17,7 @@ from djpt.core.records import BSDFContext, BSDFSample3f, SurfaceInteraction3f
 from djpt.description.properties import Properties
 from djpt.jit.kernels import maximum, minimum
 from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, Vector3f
-from djpt.materials.base import BSDF
+from djpt.materials.base import BSDFAtPoint, SharedWorkBSDF
 from djpt.textures.base import Texture
 
 __all__ = [
@@ -42,7 +42,7 @@ Scalars = dict[str, Any]
 """The optional parameters at one surface point, without those that are off."""
 
 
-class PrincipledBase(BSDF):
+class PrincipledBase(SharedWorkBSDF):
     """The common part of both materials: the parameters are read once per surface point.
 
     Parameters that aren't in the description (or are the number 0 there) are off: their lobes aren't
@@ -72,66 +72,56 @@ class PrincipledBase(BSDF):
 
     # ---- what the materials add ------------------------------------------------------------
 
-    def _look_up(self, si: SurfaceInteraction3f, active: Bool | bool) -> Any:
+    def look_up(self, si: SurfaceInteraction3f, active: Bool | bool) -> Any:
         """All parameters at `si`."""
         raise NotImplementedError
 
-    def _eval_pdf(self, at: Any, ctx: BSDFContext, wi: Vector3f, wo: Vector3f) -> tuple[Color3f, Float]:
+    def eval_pdf_mirrored(self, at: Any, ctx: BSDFContext, wi: Vector3f, wo: Vector3f) -> tuple[Color3f, Float]:
         """`eval_pdf` in the mirrored frame; no cosine is smaller than `GRAZING`."""
         raise NotImplementedError
 
-    def _draw(self, at: Any, wi: Vector3f, sample1: Float, sample2: Point2f) -> tuple[BSDFSample3f, Bool]:
+    def draw(self, at: Any, wi: Vector3f, sample1: Float, sample2: Point2f) -> tuple[BSDFSample3f, Bool]:
         """A direction in the mirrored frame, without its density, and whether it is possible."""
         raise NotImplementedError
 
-    def _is_seen(self, at: Any) -> Bool | bool:
+    def is_seen(self, at: Any) -> Bool | bool:
         """True where the material scatters light to the side that it is seen from."""
         return True
 
     # ---- the contract of BSDFs -------------------------------------------------------------
 
-    def sample(
-        self, ctx: BSDFContext, si: SurfaceInteraction3f, sample1: Float, sample2: Point2f, active: Bool | bool = True
-    ) -> tuple[BSDFSample3f, Color3f]:
-        return self._sampled(self._look_up(si, active), ctx, si.wi, sample1, sample2)
+    def is_asked(self, ctx: BSDFContext) -> bool:
+        """True: all lobes are evaluated together, whichever a context asks for."""
+        return True
 
-    def eval_pdf(
-        self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
-    ) -> tuple[Color3f, Float]:
-        return self._evaluated(self._look_up(si, active), ctx, si.wi, wo)
-
-    def eval_pdf_sample(
-        self,
-        ctx: BSDFContext,
-        si: SurfaceInteraction3f,
-        wo: Vector3f,
-        sample1: Float,
-        sample2: Point2f,
-        active: Bool | bool = True,
-    ) -> tuple[Color3f, Float, BSDFSample3f, Color3f]:
-        at = self._look_up(si, active)
-        return *self._evaluated(at, ctx, si.wi, wo), *self._sampled(at, ctx, si.wi, sample1, sample2)
+    def at(self, ctx: BSDFContext, si: SurfaceInteraction3f, active: Bool | bool) -> BSDFAtPoint:
+        return PrincipledAtPoint(self, ctx, si, active)
 
     def eval_diffuse_reflectance(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
         return self.base_color.eval(si, active)
 
-    def _evaluated(self, at: Any, ctx: BSDFContext, wi: Vector3f, wo: Vector3f) -> tuple[Color3f, Float]:
-        usable = (dr.abs(wi.z) > GRAZING) & (dr.abs(wo.z) > GRAZING) & self._is_seen(at)
+
+class PrincipledAtPoint:
+    """A `PrincipledBase` at one point, seen from `wi`: the work that evaluation and sampling share."""
+
+    def __init__(self, bsdf: PrincipledBase, ctx: BSDFContext, si: SurfaceInteraction3f, active: Bool | bool) -> None:
+        self.bsdf, self.ctx, self.wi, self.parameters = bsdf, ctx, si.wi, bsdf.look_up(si, active)
+
+    def eval_pdf(self, wo: Vector3f) -> tuple[Color3f, Float]:
+        wi, bsdf = self.wi, self.bsdf
+        usable = (dr.abs(wi.z) > GRAZING) & (dr.abs(wo.z) > GRAZING) & bsdf.is_seen(self.parameters)
         # Lanes that count for nothing get directions without singularities, for the sake of gradients.
         up = Vector3f(0, 0, 1)
-        value, pdf = self._eval_pdf(
-            at, ctx, dr.select(usable, dr.mulsign(wi, wi.z), up), dr.select(usable, dr.mulsign(wo, wi.z), up)
-        )
+        towards, onward = (dr.select(usable, dr.mulsign(w, wi.z), up) for w in (wi, wo))
+        value, pdf = bsdf.eval_pdf_mirrored(self.parameters, self.ctx, towards, onward)
         return dr.select(usable, value, 0), dr.select(usable, pdf, 0)
 
-    def _sampled(
-        self, at: Any, ctx: BSDFContext, wi: Vector3f, sample1: Float, sample2: Point2f
-    ) -> tuple[BSDFSample3f, Color3f]:
-        usable = dr.abs(wi.z) > GRAZING
-        mirrored = dr.select(usable, dr.mulsign(wi, wi.z), Vector3f(0, 0, 1))
-        bs, possible = self._draw(at, mirrored, sample1, sample2)
-        bs.wo = dr.detach(dr.mulsign(bs.wo, wi.z))
-        value, pdf = self._evaluated(at, ctx, wi, bs.wo)
+    def sample(self, sample1: Float, sample2: Point2f) -> tuple[BSDFSample3f, Color3f]:
+        usable = dr.abs(self.wi.z) > GRAZING
+        mirrored = dr.select(usable, dr.mulsign(self.wi, self.wi.z), Vector3f(0, 0, 1))
+        bs, possible = self.bsdf.draw(self.parameters, mirrored, sample1, sample2)
+        bs.wo = dr.detach(dr.mulsign(bs.wo, self.wi.z))
+        value, pdf = self.eval_pdf(bs.wo)
         pdf = dr.detach(pdf)
         possible &= usable & (pdf > 0)
         bs.pdf = dr.select(possible, pdf, 0)

@@ -111,7 +111,7 @@ class PrincipledThin(PrincipledBase):
             lobes.append(BSDFFlags.GlossyTransmission | skewed)
         return tuple(int(lobe | both) for lobe in (*lobes, BSDFFlags.GlossyReflection | skewed))
 
-    def _look_up(self, si: SurfaceInteraction3f, active: Bool | bool) -> At:
+    def look_up(self, si: SurfaceInteraction3f, active: Bool | bool) -> At:
         scalars = self._scalars(si, active)
         roughness, eta = self.roughness.eval_1(si, active), self.eta.eval_1(si, active)
         outside = through = None
@@ -146,7 +146,7 @@ class PrincipledThin(PrincipledBase):
         a, b, c, d = (share * norm for share in shares)
         return a, b, c, d
 
-    def _draw(self, at: At, wi: Vector3f, sample1: Float, sample2: Point2f) -> tuple[BSDFSample3f, Bool]:
+    def draw(self, at: At, wi: Vector3f, sample1: Float, sample2: Point2f) -> tuple[BSDFSample3f, Bool]:
         mirror, glass, paint, _ = self._shares(at)
 
         def lobe(wo: Vector3f, sampled_type: BSDFFlags, component: int) -> BSDFSample3f:
@@ -173,7 +173,7 @@ class PrincipledThin(PrincipledBase):
 
     # ---- evaluation ------------------------------------------------------------------------
 
-    def _eval_pdf(self, at: At, ctx: BSDFContext, wi: Vector3f, wo: Vector3f) -> tuple[Color3f, Float]:
+    def eval_pdf_mirrored(self, at: At, ctx: BSDFContext, wi: Vector3f, wo: Vector3f) -> tuple[Color3f, Float]:
         mirror, glass, paint, back_light = self._shares(at)
         reflects, cos_o = wo.z > 0, dr.abs(wo.z)
         h, _ = half_vector(wi, Vector3f(wo.x, wo.y, cos_o))

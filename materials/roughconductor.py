@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import drjit as dr
 
 from djpt.core.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
-from djpt.description.plugin import TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Vector3f
-from djpt.materials.base import BSDFAtPoint, SharedWorkBSDF
+from djpt.materials.base import BSDFAtPoint
 from djpt.materials.dielectric import optional_texture, tint
 from djpt.materials.fresnel import fresnel_conductor, reflect
 from djpt.materials.ior import metal
-from djpt.materials.microfacet import MicrofacetDistribution, alpha_textures, distribution_name
+from djpt.materials.microfacet import ALPHAS, FacetsAtPoint, RoughBSDF
 
 __all__ = ["RoughConductor"]
 
 
-class RoughConductor(SharedWorkBSDF):
+class RoughConductor(RoughBSDF):
     """f = F(wi, m) D(m) G(wi, wo, m) / (4 cos theta_i cos theta_o) with the half vector m; black from behind.
 
     F is the reflectance of a conductor of index eta + i k, D and G are those of
@@ -38,44 +35,25 @@ class RoughConductor(SharedWorkBSDF):
 
     in_any_frame = True
     symmetric = True
-    children = ("specular_reflectance", "alpha_u", "alpha_v", "eta", "k")
-    statics: ClassVar[tuple[str, ...]] = ("distribution", "sample_visible")
+    children = ("specular_reflectance", *ALPHAS, "eta", "k")
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         self.eta, self.k = metal(props)
-        self.distribution = distribution_name(props)
-        self.sample_visible = props.boolean("sample_visible", True)
-        # None stands for "the same as alpha_u": one lookup less, and simpler formulas.
-        self.alpha_u, self.alpha_v = alpha_textures(props)
         self.specular_reflectance = optional_texture(props, "specular_reflectance")
 
-    def traverse(self, callback: TraversalCallback) -> None:
-        if self.specular_reflectance is not None:
-            callback.put("specular_reflectance", self.specular_reflectance)
-        if self.alpha_v is None:
-            callback.put("alpha", self.alpha_u)
-        else:
-            callback.put("alpha_u", self.alpha_u)
-            callback.put("alpha_v", self.alpha_v)
-        callback.put("eta", self.eta)
-        callback.put("k", self.k)
-
     def components(self) -> tuple[int, ...]:
-        anisotropic = BSDFFlags.Empty if self.alpha_v is None else BSDFFlags.Anisotropic
-        return (int(BSDFFlags.GlossyReflection | BSDFFlags.FrontSide | anisotropic),)
+        return (int(BSDFFlags.GlossyReflection | BSDFFlags.FrontSide | self.anisotropy),)
 
     def at(self, ctx: BSDFContext, si: SurfaceInteraction3f, active: Bool | bool) -> BSDFAtPoint:
         return RoughConductorAtPoint(self, si, active)
 
 
-class RoughConductorAtPoint:
+class RoughConductorAtPoint(FacetsAtPoint):
     """A `RoughConductor` at one point, seen from `wi`: the work that evaluation and sampling share."""
 
     def __init__(self, bsdf: RoughConductor, si: SurfaceInteraction3f, active: Bool | bool) -> None:
-        alpha_u = bsdf.alpha_u.eval_1(si, active)
-        alpha_v = alpha_u if bsdf.alpha_v is None else bsdf.alpha_v.eval_1(si, active)
-        self.surface = MicrofacetDistribution(bsdf.distribution, alpha_u, alpha_v, bsdf.sample_visible)
+        self.surface = bsdf.microfacets(si, active)
         self.eta, self.k = bsdf.eta.eval(si, active), bsdf.k.eval(si, active)
         self.tint = tint(bsdf.specular_reflectance, si, active)
         self.wi = si.wi
@@ -86,15 +64,8 @@ class RoughConductorAtPoint:
         return fresnel_conductor(cos, self.eta, self.k) * self.tint
 
     def eval_pdf(self, wo: Vector3f) -> tuple[Color3f, Float]:
-        # The half vector of two directions above the horizon faces both of them.
-        ok = (self.wi.z > 0) & (wo.z > 0)
-        h = self.wi + wo
-        m = h * dr.rsqrt(dr.select(ok, dr.squared_norm(h), 1))
-        cos = dr.dot(self.wi, m)
-        d = self.surface.eval(m)
-        visible = 0.25 * d * self.g1_i
+        ok, cos, visible, pdf = self.facets(wo)
         value = self.fresnel(cos) * (visible * self.surface.smith_g1_over_cos(wo) * wo.z)
-        pdf = visible if self.surface.sample_visible else d * m.z * 0.25 * dr.rcp(dr.select(ok, cos, 1))
         return dr.select(ok, value, 0), dr.select(ok, pdf, 0)
 
     def sample(self, sample1: Float, sample2: Point2f) -> tuple[BSDFSample3f, Color3f]:

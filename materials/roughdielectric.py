@@ -8,21 +8,21 @@ from typing import Any, ClassVar
 import drjit as dr
 
 from djpt.core.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f, TransportMode
-from djpt.description.plugin import ParamFlags, TraversalCallback
+from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
 from djpt.jit.kernels import as_float
 from djpt.jit.types import Bool, Color3f, Float, Point2f, UInt32, Vector3f
-from djpt.materials.base import BSDFAtPoint, SharedWorkBSDF, derivative_of_choice
+from djpt.materials.base import BSDFAtPoint, derivative_of_choice
 from djpt.materials.dielectric import optional_texture, tint
 from djpt.materials.fresnel import fresnel, reflect, refract
 from djpt.materials.ior import check_eta, ior
-from djpt.materials.microfacet import MicrofacetDistribution, alpha_textures, distribution_name
+from djpt.materials.microfacet import ALPHAS, RoughBSDF
 
 __all__ = ["RoughDielectric"]
 
 
-class RoughDielectric(SharedWorkBSDF):
+class RoughDielectric(RoughBSDF):
     """Reflection and refraction by microfacets with Fresnel reflectance F, from both sides.
 
     With i = abs(dot(wi, m)), o = abs(dot(wo, m)), D and G of `MicrofacetDistribution` and the index eta
@@ -50,8 +50,7 @@ class RoughDielectric(SharedWorkBSDF):
     in_any_frame = True
     symmetric = True
     values: ClassVar[Mapping[str, ParamFlags]] = {"eta": ParamFlags.Differentiable | ParamFlags.Discontinuous}
-    children = ("alpha_u", "alpha_v", "specular_reflectance", "specular_transmittance")
-    statics: ClassVar[tuple[str, ...]] = ("distribution", "sample_visible")
+    children = (*ALPHAS, "specular_reflectance", "specular_transmittance")
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
@@ -61,32 +60,14 @@ class RoughDielectric(SharedWorkBSDF):
                 "int_ior", f"must differ from 'ext_ior', found {int_ior:.9g} for both: the surface would be invisible"
             )
         self.eta = as_float(int_ior / ext_ior)
-        self.distribution = distribution_name(props)
-        self.sample_visible = props.boolean("sample_visible", True)
-        # None stands for "the same as alpha_u": one lookup less, and simpler formulas.
-        self.alpha_u, self.alpha_v = alpha_textures(props)
         self.specular_reflectance = optional_texture(props, "specular_reflectance")
         self.specular_transmittance = optional_texture(props, "specular_transmittance")
-
-    def traverse(self, callback: TraversalCallback) -> None:
-        callback.put("eta", self.eta, self.values["eta"])
-        if self.alpha_v is None:
-            callback.put("alpha", self.alpha_u)
-        else:
-            callback.put("alpha_u", self.alpha_u)
-            callback.put("alpha_v", self.alpha_v)
-        if self.specular_reflectance is not None:
-            callback.put("specular_reflectance", self.specular_reflectance)
-        if self.specular_transmittance is not None:
-            callback.put("specular_transmittance", self.specular_transmittance)
 
     def check_parameter(self, name: str, value: Any) -> Any:
         return check_eta(value) if name == "eta" else value
 
     def components(self) -> tuple[int, ...]:
-        common = BSDFFlags.FrontSide | BSDFFlags.BackSide
-        if self.alpha_v is not None:
-            common |= BSDFFlags.Anisotropic
+        common = BSDFFlags.FrontSide | BSDFFlags.BackSide | self.anisotropy
         return (
             int(BSDFFlags.GlossyReflection | common),
             int(BSDFFlags.GlossyTransmission | BSDFFlags.NonSymmetric | common),
@@ -110,9 +91,7 @@ class RoughDielectricAtPoint:
     ) -> None:
         """`reflects` and `transmits`: whether each lobe is asked for."""
         self.reflects, self.both = reflects, reflects and transmits
-        alpha_u = bsdf.alpha_u.eval_1(si, active)
-        alpha_v = alpha_u if bsdf.alpha_v is None else bsdf.alpha_v.eval_1(si, active)
-        self.surface = MicrofacetDistribution(bsdf.distribution, alpha_u, alpha_v, bsdf.sample_visible)
+        self.surface = bsdf.microfacets(si, active)
         self.sampled = self.surface
         if not bsdf.sample_visible:
             self.sampled = self.surface.scaled(1.2 - 0.2 * dr.sqrt(dr.abs(dr.detach(si.wi.z))))

@@ -12,7 +12,7 @@ from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
 from djpt.jit.kernels import as_float
-from djpt.jit.types import Bool, Color3f, Float, Point2f, UInt32
+from djpt.jit.types import Bool, Color3f, Float, UInt32
 from djpt.materials.base import DeltaBSDF, derivative_of_choice
 from djpt.materials.dielectric import optional_texture, tint
 from djpt.materials.fresnel import fresnel, reflect
@@ -54,17 +54,10 @@ class ThinDielectric(DeltaBSDF):
         single = fresnel(dr.abs(si.wi.z), self.eta)[0]
         return 2 * single * dr.rcp(1 + single)
 
-    def sample(
-        self,
-        ctx: BSDFContext,
-        si: SurfaceInteraction3f,
-        sample1: Float,
-        sample2: Point2f,
-        active: Bool | bool = True,
+    def bounce(
+        self, ctx: BSDFContext, si: SurfaceInteraction3f, sample1: Float, active: Bool | bool
     ) -> tuple[BSDFSample3f, Color3f]:
         reflects, transmits = self.asked(ctx)
-        if not (reflects or transmits):
-            return BSDFSample3f.none(), Color3f(0)
         share = self.reflectance_at(si)
         # One lobe alone is always chosen.
         chosen = sample1 < share if reflects and transmits else Bool(reflects)  # as in `Dielectric`

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from dataclasses import dataclass
+from typing import Any
 
 import drjit as dr
 
@@ -13,16 +14,14 @@ from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
 from djpt.errors import SceneError
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Vector3f
-from djpt.materials.base import BSDF
+from djpt.materials.base import BSDF, BlackAtPoint, BSDFAtPoint, SharedWorkBSDF
 
 __all__ = ["TwoSided"]
-
-Value = TypeVar("Value", Color3f, Float)
 
 TRANSMITS = BSDFFlags.DiffuseTransmission | BSDFFlags.GlossyTransmission | BSDFFlags.DeltaTransmission | BSDFFlags.Null
 
 
-class TwoSided(BSDF):
+class TwoSided(SharedWorkBSDF):
     """The nested BSDF seen from the front; from behind the second one, or the same again.
 
     Children: one or two BSDFs, front and back, under any key. Behind the surface the z axis
@@ -80,68 +79,15 @@ class TwoSided(BSDF):
         wi = Vector3f(si.wi.x, si.wi.y, dr.abs(si.wi.z))
         return si.replaced(wi=wi)
 
-    def _only(self, ctx: BSDFContext, behind: Bool) -> tuple[BSDF, BSDFContext, Bool] | None:
-        """The BSDF that has the only lobe asked for, its context, and where it is seen; None if all are asked for."""
+    def at(self, ctx: BSDFContext, si: SurfaceInteraction3f, active: Bool | bool) -> BSDFAtPoint:
+        seen, first = self._seen_from_front(si), self.front.component_count()
         if ctx.component == ALL_COMPONENTS:
-            return None
-        first = self.front.component_count()
+            back = None if self.back is None else self.back.at_point(ctx, seen, active)
+            return TwoSidedAtPoint(si.wi.z < 0, self.front.at_point(ctx, seen, active), back)
         if ctx.component < first:
-            return self.front, ctx, ~behind
-        return self.back or self.front, ctx.of_part(first), behind
-
-    def sample(
-        self,
-        ctx: BSDFContext,
-        si: SurfaceInteraction3f,
-        sample1: Float,
-        sample2: Point2f,
-        active: Bool | bool = True,
-    ) -> tuple[BSDFSample3f, Color3f]:
-        behind, mirrored = si.wi.z < 0, self._seen_from_front(si)
-        only = self._only(ctx, behind)
-        if only is not None:
-            bsdf, ctx, here = only
-            bs, weight = bsdf.sample(ctx, mirrored, sample1, sample2, active)
-            return dr.select(here, (flipped_sample(bs, behind), weight), (BSDFSample3f.none(), Color3f(0)))
-        result = self.front.sample(ctx, mirrored, sample1, sample2, active)
-        if self.back is not None:
-            result = dr.select(behind, self.back.sample(ctx, mirrored, sample1, sample2, active), result)
-        bs, weight = result
-        return flipped_sample(bs, behind), weight
-
-    def eval_pdf(
-        self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
-    ) -> tuple[Color3f, Float]:
-        behind, mirrored = si.wi.z < 0, self._seen_from_front(si)
-        wo = flipped(wo, behind)
-        only = self._only(ctx, behind)
-        if only is not None:
-            bsdf, ctx, here = only
-            return dr.select(here, bsdf.eval_pdf(ctx, mirrored, wo, active), (Color3f(0), Float(0)))
-        result = self.front.eval_pdf(ctx, mirrored, wo, active)
-        if self.back is not None:
-            result = dr.select(behind, self.back.eval_pdf(ctx, mirrored, wo, active), result)
-        return result
-
-    def eval_pdf_sample(
-        self,
-        ctx: BSDFContext,
-        si: SurfaceInteraction3f,
-        wo: Vector3f,
-        sample1: Float,
-        sample2: Point2f,
-        active: Bool | bool = True,
-    ) -> tuple[Color3f, Float, BSDFSample3f, Color3f]:
-        if ctx.component != ALL_COMPONENTS:
-            return super().eval_pdf_sample(ctx, si, wo, sample1, sample2, active)
-        behind, mirrored = si.wi.z < 0, self._seen_from_front(si)
-        wo = flipped(wo, behind)
-        result = self.front.eval_pdf_sample(ctx, mirrored, wo, sample1, sample2, active)
-        if self.back is not None:
-            other = self.back.eval_pdf_sample(ctx, mirrored, wo, sample1, sample2, active)
-            result = dr.select(behind, other, result)
-        value, pdf, bs, weight = result
-        return value, pdf, flipped_sample(bs, behind), weight
+            return TwoSidedAtPoint(si.wi.z < 0, self.front.at_point(ctx, seen, active), BlackAtPoint())
+        back = (self.back or self.front).at_point(ctx.of_part(first), seen, active)
+        return TwoSidedAtPoint(si.wi.z < 0, BlackAtPoint(), back)
 
     def eval_diffuse_reflectance(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
         behind, mirrored = si.wi.z < 0, self._seen_from_front(si)
@@ -151,14 +97,31 @@ class TwoSided(BSDF):
         return result
 
 
-def flipped(v: Vector3f, behind: Bool) -> Vector3f:
-    """The direction `v`, mirrored by the surface where `behind`."""
-    return Vector3f(v.x, v.y, dr.select(behind, -v.z, v.z))
+@dataclass
+class TwoSidedAtPoint:
+    """A `TwoSided` at one point, seen from `wi`: the BSDFs of both sides, each as if seen from the front."""
 
+    behind: Bool
+    """True where the surface is seen from behind."""
+    front: BSDFAtPoint
+    back: BSDFAtPoint | None
+    """None stands for the same as in front."""
 
-def flipped_sample(bs: BSDFSample3f, behind: Bool) -> BSDFSample3f:
-    """The sample `bs`, mirrored by the surface where `behind`."""
-    return bs.replaced(wo=flipped(bs.wo, behind))
+    def eval_pdf(self, wo: Vector3f) -> tuple[Color3f, Float]:
+        return self._of_side(lambda bsdf: bsdf.eval_pdf(self._flipped(wo)))
+
+    def sample(self, sample1: Float, sample2: Point2f) -> tuple[BSDFSample3f, Color3f]:
+        bs, weight = self._of_side(lambda bsdf: bsdf.sample(sample1, sample2))
+        return bs.replaced(wo=self._flipped(bs.wo)), weight
+
+    def _of_side(self, result: Callable[[BSDFAtPoint], Any]) -> Any:
+        """The result of the BSDF of the side that is seen."""
+        front = result(self.front)
+        return front if self.back is None else dr.select(self.behind, result(self.back), front)
+
+    def _flipped(self, v: Vector3f) -> Vector3f:
+        """The direction `v`, mirrored by the surface where that is seen from behind."""
+        return Vector3f(v.x, v.y, dr.select(self.behind, -v.z, v.z))
 
 
 register_bsdf("twosided", TwoSided)

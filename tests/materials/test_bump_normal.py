@@ -261,7 +261,7 @@ def test_bumps_face_their_slope() -> None:
     )
     slope = 8 / 7  # the texels' centres are 1 / 8 apart, their heights 1 / 7
     expected = np.array([-slope, 0, 1]) / np.hypot(slope, 1)
-    n = np.array(bump._tilted(si, True)[0].n).ravel()
+    n = np.array(bump.tilted(si, True)[0].n).ravel()
     np.testing.assert_allclose(n, expected, atol=1e-5)
 
 
