@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import drjit as dr
 
@@ -15,7 +15,7 @@ from djpt.jit.kernels import as_float
 from djpt.jit.types import Bool, Color3f, Float
 from djpt.materials.base import DeltaBSDF, derivative_of_choice
 from djpt.materials.fresnel import fresnel, reflect, refract
-from djpt.materials.ior import check_eta, ior
+from djpt.materials.ior import ETA, ior
 from djpt.textures.base import Texture
 
 if TYPE_CHECKING:
@@ -46,6 +46,7 @@ class Dielectric(DeltaBSDF):
 
     symmetric = True
     values: ClassVar[Mapping[str, ParamFlags]] = {"eta": ParamFlags.NonDifferentiable}
+    allowed = ETA
     children = ("specular_reflectance", "specular_transmittance", "absorption")
     statics: ClassVar[Sequence[str]] = ("absorbs",)
 
@@ -62,9 +63,6 @@ class Dielectric(DeltaBSDF):
     def move_into(self, frame: Frame) -> None:
         self.move_nested(frame)
         self.absorption = frame.rescaled(self.absorption, -1)
-
-    def check_parameter(self, name: str, value: Any) -> Any:
-        return check_eta(value) if name == "eta" else value
 
     def components(self) -> tuple[int, ...]:
         return REFLECTION, TRANSMISSION

@@ -4,24 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import drjit as dr
 
 from djpt.core.color import LUMINANCE
-from djpt.core.numeric import as_array
 from djpt.core.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
 from djpt.core.warp import square_to_rough_fiber_pdf
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Allowed, Properties
 from djpt.description.registry import register_bsdf
-from djpt.errors import ParameterError, SceneError
-from djpt.jit.frozen import recording
+from djpt.errors import SceneError
 from djpt.jit.kernels import as_float
 from djpt.jit.types import Bool, Color3f, Float, Point2f, UInt32, Vector3f
 from djpt.materials.base import BSDFAtPoint, SharedWorkBSDF
 from djpt.materials.fresnel import fresnel
-from djpt.materials.ior import check_eta, ior
+from djpt.materials.ior import ETA, ior
 
 __all__ = ["Hair"]
 
@@ -74,6 +72,11 @@ class Hair(SharedWorkBSDF):
         "pheomelanin": DIFFERENTIABLE,
         "scale": ParamFlags.NonDifferentiable,
     }
+    allowed: ClassVar[Mapping[str, Allowed]] = {
+        **ETA,
+        **dict.fromkeys(("longitudinal_roughness", "azimuthal_roughness"), Allowed(0.0, 1.0)),
+        **dict.fromkeys(("eumelanin", "pheomelanin", "scale"), Allowed(0.0)),
+    }
     children = ("sigma_a",)
     statics: ClassVar[Sequence[str]] = ("use_pigmentation",)
 
@@ -105,17 +108,6 @@ class Hair(SharedWorkBSDF):
         callback.put("use_pigmentation", self.use_pigmentation, ParamFlags.NonDifferentiable | ParamFlags.ReadOnly)
         if self.sigma_a is not None:
             callback.put("sigma_a", self.sigma_a)
-
-    def check_parameter(self, name: str, value: Any) -> Any:
-        if name == "eta":
-            return check_eta(value)
-        if name != "scale_tilt" and not recording():
-            allowed = Allowed(0.0, 1.0 if name.endswith("roughness") else None)
-            try:
-                allowed.require(as_array(dr.detach(value) if dr.is_array_v(value) else value))
-            except SceneError as error:
-                raise ParameterError(str(error)) from None
-        return value
 
     def components(self) -> tuple[int, ...]:
         fibre = BSDFFlags.Glossy | BSDFFlags.FrontSide | BSDFFlags.Anisotropic | BSDFFlags.NonSymmetric

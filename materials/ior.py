@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from collections.abc import Mapping
+from typing import Final
 
-import drjit as dr
-
-from djpt.core.numeric import as_array, describe
-from djpt.description.properties import Properties
-from djpt.errors import ParameterError, SceneError, near_miss
-from djpt.jit.frozen import recording
+from djpt.description.properties import Allowed, Properties
+from djpt.errors import SceneError, near_miss
 from djpt.jit.types import Color3f
 from djpt.textures.base import Texture
 
-__all__ = ["IOR", "METALS", "check_eta", "ior", "metal"]
+__all__ = ["ETA", "IOR", "METALS", "ior", "metal"]
 
 IOR: Final = {
     "acetone": 1.36,
@@ -54,18 +51,8 @@ def ior(props: Properties, key: str, default: str | float) -> float:
     return IOR[name]
 
 
-def check_eta(value: Any) -> Any:
-    """Return `value`, about to be assigned to a relative index; raise `ParameterError` unless it is > 0."""
-    if recording():
-        return value
-    try:
-        positive = (as_array(dr.detach(value) if dr.is_array_v(value) else value) > 0).all()
-    except SceneError as error:
-        raise ParameterError(str(error)) from None
-    if not positive:
-        raise ParameterError(f"must be greater than 0, found {describe(value)}")
-    return value
-
+ETA: Final[Mapping[str, Allowed]] = {"eta": Allowed(0.0, low_open=True)}
+"""The range of a parameter `eta`, a relative index."""
 
 Rgb = tuple[float, float, float]
 

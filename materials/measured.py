@@ -15,7 +15,7 @@ from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
 from djpt.description.tensor_files import read_tensors
 from djpt.distributions.marginal_2d import MarginalContinuous2D0, MarginalContinuous2D2
-from djpt.errors import DjptError, FileError
+from djpt.errors import FileError
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Vector3f
 from djpt.materials.base import BSDFAtPoint, SharedWorkBSDF
 from djpt.materials.fresnel import reflect
@@ -46,7 +46,7 @@ class Measured(SharedWorkBSDF):
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
-        try:
+        with props.naming("filename"):
             path = resolve(props.string("filename"))
             fields = checked(read_tensors(path), str(path))
             axes = [fields["phi_i"].tolist(), fields["theta_i"].tolist()]
@@ -59,8 +59,6 @@ class Measured(SharedWorkBSDF):
                 MarginalContinuous2D2(fields["rgb"][:, :, channel], axes, normalize=False, build_hierarchy=False)
                 for channel in range(3)
             )
-        except DjptError as error:
-            raise props.error("filename", str(error)) from None
         turn = 2 * math.pi / float(np.ptp(fields["phi_i"])) if len(fields["phi_i"]) > 2 else 0.0
         self.isotropic = len(fields["phi_i"]) <= 2
         self.symmetry = round(turn)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import drjit as dr
 
@@ -18,7 +18,7 @@ from djpt.jit.types import Bool, Color3f, Float, Point2f, UInt32, Vector3f
 from djpt.materials.base import BSDFAtPoint, SharedWorkBSDF
 from djpt.materials.dielectric import optional_texture, tint
 from djpt.materials.fresnel import fresnel, fresnel_diffuse_reflectance, reflect
-from djpt.materials.ior import check_eta, ior
+from djpt.materials.ior import ETA, ior
 
 __all__ = ["Plastic"]
 
@@ -46,6 +46,7 @@ class Plastic(SharedWorkBSDF):
     in_any_frame = True
     symmetric = True
     values: ClassVar[Mapping[str, ParamFlags]] = {"eta": ParamFlags.Differentiable}
+    allowed = ETA
     children = ("diffuse_reflectance", "specular_reflectance")
     statics: ClassVar[tuple[str, ...]] = ("nonlinear",)
 
@@ -55,9 +56,6 @@ class Plastic(SharedWorkBSDF):
         self.diffuse_reflectance = props.texture("diffuse_reflectance", 0.5, low=0.0, high=1.0)
         self.specular_reflectance = optional_texture(props, "specular_reflectance")
         self.nonlinear = props.boolean("nonlinear", False)
-
-    def check_parameter(self, name: str, value: Any) -> Any:
-        return check_eta(value) if name == "eta" else value
 
     def components(self) -> tuple[int, ...]:
         mirror, base = BSDFFlags.DeltaReflection, BSDFFlags.DiffuseReflection

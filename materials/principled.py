@@ -9,17 +9,15 @@ from typing import Any, ClassVar
 
 import drjit as dr
 
-from djpt.core.numeric import non_negative
 from djpt.core.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f, TransportMode
 from djpt.core.warp import square_to_cosine_hemisphere
 from djpt.description.plugin import ParamFlags, TraversalCallback
-from djpt.description.properties import Properties
+from djpt.description.properties import Allowed, Properties
 from djpt.description.registry import register_bsdf
-from djpt.errors import ParameterError
-from djpt.jit.frozen import recording
 from djpt.jit.kernels import as_float, maximum
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Vector3f
 from djpt.materials.fresnel import fresnel, reflect, refract, schlick
+from djpt.materials.ior import ETA
 from djpt.materials.microfacet import MicrofacetDistribution
 from djpt.materials.principled_lobes import (
     GTR1,
@@ -114,6 +112,11 @@ class Principled(PrincipledBase):
         "clearcoat_sampling_rate": ParamFlags.NonDifferentiable,
         "diffuse_reflectance_sampling_rate": ParamFlags.NonDifferentiable,
     }
+    allowed: ClassVar[Mapping[str, Allowed]] = {
+        **dict.fromkeys(values, Allowed(0.0)),
+        "specular": Allowed(0.0, 1.0),
+        **ETA,
+    }
     children = ("base_color", "roughness", "clearcoat_gloss", *optional)
     statics = ("given", "by_specular")
 
@@ -142,15 +145,6 @@ class Principled(PrincipledBase):
             callback.put(reported, getattr(self, name), flags, attribute=name)
         for name in self.children:
             callback.put(name, getattr(self, name))
-
-    def check_parameter(self, name: str, value: Any) -> Any:
-        if not recording():
-            number = non_negative(dr.detach(value))
-            if name == "specular" and number > 1:
-                raise ParameterError(f"must lie in [0, 1], found {number:.9g}")
-            if name == "eta" and number == 0:
-                raise ParameterError("must be greater than 0, found 0")
-        return value
 
     def components(self) -> tuple[int, ...]:
         both = BSDFFlags.FrontSide | BSDFFlags.BackSide

@@ -9,13 +9,11 @@ from typing import Any, ClassVar
 
 import drjit as dr
 
-from djpt.core.numeric import non_negative
 from djpt.core.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
 from djpt.core.warp import square_to_cosine_hemisphere
 from djpt.description.plugin import ParamFlags
-from djpt.description.properties import Properties
+from djpt.description.properties import Allowed, Properties
 from djpt.description.registry import register_bsdf
-from djpt.jit.frozen import recording
 from djpt.jit.kernels import as_float, maximum
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Vector3f
 from djpt.materials.fresnel import fresnel, reflect, schlick
@@ -84,6 +82,7 @@ class PrincipledThin(PrincipledBase):
         "diffuse_reflectance_sampling_rate": ParamFlags.NonDifferentiable,
         "diffuse_transmittance_sampling_rate": ParamFlags.NonDifferentiable,
     }
+    allowed: ClassVar[Mapping[str, Allowed]] = dict.fromkeys(values, Allowed(0.0))
     children = ("base_color", "roughness", "eta", *optional)
 
     specular_reflectance_sampling_rate: Float
@@ -99,9 +98,6 @@ class PrincipledThin(PrincipledBase):
         self._read_optional(props, {"diff_trans": 2.0})
         for name in self.values:
             setattr(self, name, as_float(props.float(name, 1.0, low=0.0)))
-
-    def check_parameter(self, name: str, value: Any) -> Any:
-        return non_negative(value) if not recording() else value
 
     def components(self) -> tuple[int, ...]:
         both = BSDFFlags.FrontSide | BSDFFlags.BackSide

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import drjit as dr
 
@@ -16,7 +16,7 @@ from djpt.jit.types import Bool, Color3f, Float, Point2f, UInt32, Vector3f
 from djpt.materials.base import BSDFAtPoint, derivative_of_choice
 from djpt.materials.dielectric import optional_texture, tint
 from djpt.materials.fresnel import fresnel, reflect, refract
-from djpt.materials.ior import check_eta, ior
+from djpt.materials.ior import ETA, ior
 from djpt.materials.microfacet import ALPHAS, RoughBSDF
 
 __all__ = ["RoughDielectric"]
@@ -50,6 +50,7 @@ class RoughDielectric(RoughBSDF):
     in_any_frame = True
     symmetric = True
     values: ClassVar[Mapping[str, ParamFlags]] = {"eta": ParamFlags.Differentiable | ParamFlags.Discontinuous}
+    allowed = ETA
     children = (*ALPHAS, "specular_reflectance", "specular_transmittance")
 
     def __init__(self, props: Properties) -> None:
@@ -62,9 +63,6 @@ class RoughDielectric(RoughBSDF):
         self.eta = as_float(int_ior / ext_ior)
         self.specular_reflectance = optional_texture(props, "specular_reflectance")
         self.specular_transmittance = optional_texture(props, "specular_transmittance")
-
-    def check_parameter(self, name: str, value: Any) -> Any:
-        return check_eta(value) if name == "eta" else value
 
     def components(self) -> tuple[int, ...]:
         common = BSDFFlags.FrontSide | BSDFFlags.BackSide | self.anisotropy

@@ -11,20 +11,18 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.core.numeric import as_array
 from djpt.core.records import BSDFContext, BSDFFlags, SurfaceInteraction3f
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Allowed, Properties
 from djpt.description.registry import register_bsdf
 from djpt.dispatch.tables import entry_at
-from djpt.errors import ParameterError, SceneError
 from djpt.jit.frozen import recording
 from djpt.jit.kernels import as_float, opaque
 from djpt.jit.types import Bool, Color3f, Float, Point2f, TensorXf, UInt32, Vector3f
 from djpt.materials.base import BSDFAtPoint, SharedWorkBSDF
 from djpt.materials.dielectric import optional_texture, tint
 from djpt.materials.fresnel import fresnel, reflect, refract
-from djpt.materials.ior import check_eta, ior
+from djpt.materials.ior import ETA, ior
 from djpt.materials.microfacet import MIN_ALPHA, MicrofacetDistribution, RoughCoatAtPoint, distribution_name
 
 __all__ = ["RoughPlastic"]
@@ -33,8 +31,6 @@ INV_PI = 1 / math.pi
 
 KNOTS = 64
 """Angles at which the coat's transmittance is tabulated, by equal steps of the cosine."""
-
-ROUGHNESS = Allowed(0.0, 1.0)
 
 
 class RoughPlastic(SharedWorkBSDF):
@@ -66,6 +62,7 @@ class RoughPlastic(SharedWorkBSDF):
         "alpha": ParamFlags.Differentiable | ParamFlags.Discontinuous,
         "eta": ParamFlags.Differentiable | ParamFlags.Discontinuous,
     }
+    allowed: ClassVar[Mapping[str, Allowed]] = {**ETA, "alpha": Allowed(0.0, 1.0)}
     tables: ClassVar[Mapping[str, ParamFlags]] = {
         "coat": ParamFlags.NonDifferentiable,
         "coat_by_alpha": ParamFlags.NonDifferentiable,
@@ -94,14 +91,6 @@ class RoughPlastic(SharedWorkBSDF):
             callback.put(name, getattr(self, name), flags)
         if self.specular_reflectance is not None:
             callback.put("specular_reflectance", self.specular_reflectance)
-
-    def check_parameter(self, name: str, value: Any) -> Any:
-        if name == "alpha" and not recording():
-            try:
-                ROUGHNESS.require(as_array(dr.detach(value) if dr.is_array_v(value) else value))
-            except SceneError as error:
-                raise ParameterError(str(error)) from None
-        return check_eta(value) if name == "eta" else value
 
     def parameters_changed(self, keys: Sequence[str]) -> None:
         if not {"alpha", "eta"} & set(keys):

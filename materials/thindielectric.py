@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import drjit as dr
 
@@ -16,7 +16,7 @@ from djpt.jit.types import Bool, Color3f, Float, UInt32
 from djpt.materials.base import DeltaBSDF, derivative_of_choice
 from djpt.materials.dielectric import optional_texture, tint
 from djpt.materials.fresnel import fresnel, reflect
-from djpt.materials.ior import check_eta, ior
+from djpt.materials.ior import ETA, ior
 
 __all__ = ["ThinDielectric"]
 
@@ -34,6 +34,7 @@ class ThinDielectric(DeltaBSDF):
     in_any_frame = True
     symmetric = True
     values: ClassVar[Mapping[str, ParamFlags]] = {"eta": ParamFlags.Differentiable | ParamFlags.Discontinuous}
+    allowed = ETA
     children = ("specular_reflectance", "specular_transmittance")
 
     def __init__(self, props: Properties) -> None:
@@ -41,9 +42,6 @@ class ThinDielectric(DeltaBSDF):
         self.eta = as_float(ior(props, "int_ior", "bk7") / ior(props, "ext_ior", "air"))
         self.specular_reflectance = optional_texture(props, "specular_reflectance")
         self.specular_transmittance = optional_texture(props, "specular_transmittance")
-
-    def check_parameter(self, name: str, value: Any) -> Any:
-        return check_eta(value) if name == "eta" else value
 
     def components(self) -> tuple[int, ...]:
         sides = BSDFFlags.FrontSide | BSDFFlags.BackSide

@@ -336,7 +336,11 @@ def tell(told: Iterable[tuple[Plugin, set[str]]]) -> None:
     """Let plugins recompute what they derive from changed parameters."""
     with may_wait():
         for node, keys in told:
-            node.parameters_changed(sorted(keys))
+            try:
+                node.parameters_changed(sorted(keys))
+            except DjptError as error:
+                message = str(error)
+                raise ParameterError(message if node.id() in message else f"{node.id()}: {message}") from None
 
 
 def state_of(value: Any) -> Any:

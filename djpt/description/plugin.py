@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from djpt.description.properties import Properties
+    from djpt.description.properties import Allowed, Properties
 
 __all__ = ["HIDDEN", "Endpoint", "Frame", "NotMovable", "ParamFlags", "Plugin", "TraversalCallback", "is_plain"]
 
@@ -161,6 +161,9 @@ class Plugin(Holder):
     children: ClassVar[Sequence[str]] = Inferred("children", ())  # type: ignore[assignment]
     statics: ClassVar[Sequence[str]] = Inferred("statics", ())  # type: ignore[assignment]
 
+    allowed: ClassVar[Mapping[str, Allowed]] = {}
+    """The ranges of parameters that are numbers: see `check_parameter`."""
+
     infers: ClassVar[bool] = False
     """True if the class declares none of these, so that they are inferred from the attributes of instances."""
 
@@ -260,8 +263,13 @@ class Plugin(Holder):
         return self
 
     def check_parameter(self, name: str, value: Any) -> Any:
-        """Convert and check a value that is about to be assigned; raise `ParameterError` if it can't be."""
-        return value
+        """Convert and check a value that is about to be assigned; raise a `DjptError` if it can't be.
+
+        Whoever assigns it makes that a `ParameterError` with the parameter's name. By default numbers must lie in the
+        ranges that are `allowed`.
+        """
+        allowed = self.allowed.get(name)
+        return value if allowed is None else allowed.checked(value)
 
     def parameters_changed(self, keys: Sequence[str]) -> None:
         """Recompute what was derived from the parameters named in `keys`."""

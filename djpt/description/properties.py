@@ -12,12 +12,13 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.core.numeric import as_integer, as_number, as_vector, describe
+from djpt.core.numeric import as_array, as_integer, as_number, as_vector, describe
 from djpt.core.transforms import ScalarTransform4f, as_transform
 from djpt.description.entries import REQUIRED, Entries
 from djpt.description.plugin import Plugin
 from djpt.description.registry import kind_of, lookup
 from djpt.errors import DjptError, SceneError, near_miss
+from djpt.jit.frozen import recording
 
 if TYPE_CHECKING:
     from djpt.textures.base import Texture
@@ -58,6 +59,15 @@ class Allowed:
         outside = numbers[(numbers <= smallest if self.low_open else numbers < smallest) | (numbers > largest)]
         if outside.size:
             raise SceneError(f"{where} must {self._missed_by(outside[0])}, found {outside[0]:.6g}".lstrip())
+
+    def checked(self, value: Any) -> Any:
+        """The value that a parameter is about to take, itself; raise `SceneError` if a number in it lies outside.
+
+        While `dr.freeze` records, numbers aren't known, and nothing is checked.
+        """
+        if not recording():
+            self.require(as_array(dr.detach(value) if dr.is_array_v(value) else value))
+        return value
 
     def _missed_by(self, number: float) -> str:
         """The range in words; of `LARGEST`, which only the largest numbers miss, only those hear."""

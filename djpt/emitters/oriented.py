@@ -34,10 +34,8 @@ class OrientedEmitter(Emitter):
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         self.to_world = props.transform("to_world")
-        try:
+        with props.naming("to_world"):
             require_similar(self.to_world)
-        except SceneError as error:
-            raise props.error("to_world", str(error)) from None
         self._place()
 
     def traverse(self, callback: TraversalCallback) -> None:

@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import drjit as dr
 
-from djpt.core.numeric import as_array, non_negative
+from djpt.core.numeric import as_array
 from djpt.core.records import DirectionSample3f, EmissionSample, EmitterFlags, Observer, Ray3f
 from djpt.description.plugin import ParamFlags
-from djpt.description.properties import LARGEST, Properties
+from djpt.description.properties import LARGEST, Allowed, Properties
 from djpt.description.registry import register_emitter
 from djpt.emitters.base import DeltaEmitter, LightBounds, beam
 from djpt.emitters.extent import mean_of, number
 from djpt.emitters.oriented import OnImage, OrientedEmitter
 from djpt.emitters.point import towards_point
-from djpt.jit.frozen import recording
 from djpt.jit.kernels import as_float
 from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, Vector3f
 from djpt.sensors.projective import horizontal_fov
@@ -49,6 +48,7 @@ class Projector(DeltaEmitter, OrientedEmitter):
         # Half width and half height of the image at z = 1.
         **dict.fromkeys(("reach_x", "reach_y"), ParamFlags.NonDifferentiable),
     }
+    allowed: ClassVar[Mapping[str, Allowed]] = {"scale": Allowed(0.0)}
     m_flags = int(EmitterFlags.DeltaPosition)
     children = ("irradiance",)
 
@@ -59,13 +59,6 @@ class Projector(DeltaEmitter, OrientedEmitter):
         self.scale = Float(props.float("scale", 1.0, low=0.0))
         self._reach = math.tan(math.radians(horizontal_fov(props, self._aspect())) / 2)
         self._measure()
-
-    def check_parameter(self, name: str, value: Any) -> Any:
-        if name == "scale":
-            if not recording():
-                non_negative(dr.detach(value))
-            return value
-        return super().check_parameter(name, value)
 
     def parameters_changed(self, keys: Sequence[str]) -> None:
         super().parameters_changed(keys)

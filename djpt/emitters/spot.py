@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import drjit as dr
 
-from djpt.core.numeric import as_array, as_number
+from djpt.core.numeric import as_array
 from djpt.core.records import DirectionSample3f, EmissionSample, EmitterFlags, Observer, Ray3f
 from djpt.core.warp import square_to_uniform_cone, square_to_uniform_cone_pdf
 from djpt.description.plugin import ParamFlags
-from djpt.description.properties import LARGEST, Properties
+from djpt.description.properties import LARGEST, Allowed, Properties
 from djpt.description.registry import register_emitter
 from djpt.emitters.base import DeltaEmitter, LightBounds, beam
 from djpt.emitters.extent import mean_of, number
@@ -49,6 +49,10 @@ class SpotLight(DeltaEmitter, OrientedEmitter):
         **OrientedEmitter.values,
         **dict.fromkeys(("cutoff_angle", "beam_width"), ParamFlags.Differentiable),
     }
+    allowed: ClassVar[Mapping[str, Allowed]] = {
+        "cutoff_angle": Allowed(0.0, 90.0, low_open=True),
+        "beam_width": Allowed(0.0, 90.0),
+    }
     m_flags = int(EmitterFlags.DeltaPosition)
     children = ("intensity", "texture")
 
@@ -61,14 +65,6 @@ class SpotLight(DeltaEmitter, OrientedEmitter):
         cutoff = props.float("cutoff_angle", 20.0, low=0.0, high=90.0, low_open=True)
         self.cutoff_angle = Float(cutoff)
         self.beam_width = Float(props.float("beam_width", 0.75 * cutoff, low=0.0, high=cutoff))
-
-    def check_parameter(self, name: str, value: Any) -> Any:
-        if name in ("cutoff_angle", "beam_width") and not recording():
-            angle = as_number(dr.detach(value))
-            if not 0 <= angle <= 90 or (angle == 0 and name == "cutoff_angle"):
-                raise ParameterError(f"must lie in {'(' if name == 'cutoff_angle' else '['}0, 90], found {angle:g}")
-            return value
-        return super().check_parameter(name, value)
 
     def parameters_changed(self, keys: Sequence[str]) -> None:
         super().parameters_changed(keys)

@@ -12,13 +12,13 @@ import numpy as np
 
 from djpt.core.numeric import as_array
 from djpt.description.plugin import HIDDEN, ParamFlags, TraversalCallback
-from djpt.description.properties import Properties
+from djpt.description.properties import Allowed, Properties
 from djpt.description.registry import register_emitter
 from djpt.emitters.extent import number
 from djpt.emitters.sky.daylight import Daylight, Instant
 from djpt.emitters.sky.directions import SkyDirections
 from djpt.emitters.sky.dome import SkyDome, irradiances
-from djpt.emitters.sky.position import FARTHEST, TimeAndPlace
+from djpt.emitters.sky.position import FARTHEST, WITHIN_REACH, TimeAndPlace
 from djpt.errors import ParameterError
 from djpt.jit.frozen import recording
 from djpt.jit.kernels import as_vector
@@ -48,7 +48,7 @@ class SunSky(Daylight):
     in_any_frame = True
     values: ClassVar[Mapping[str, ParamFlags]] = {**Daylight.values, "sky_fraction": HIDDEN}
     children = ("dome", "disc", "directions")
-    times_and_places = CLOCK
+    allowed: ClassVar[Mapping[str, Allowed]] = {**Daylight.allowed, **dict.fromkeys(CLOCK, WITHIN_REACH)}
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)

@@ -10,12 +10,12 @@ import drjit as dr
 
 from djpt.core.records import EmissionSample, Ray3f
 from djpt.description.plugin import HIDDEN, ParamFlags, TraversalCallback
-from djpt.description.properties import Properties
+from djpt.description.properties import Allowed, Properties
 from djpt.description.registry import register_emitter
 from djpt.emitters.sky.daylight import Daylight, Instant
 from djpt.emitters.sky.directions import FITTED, SkyDirections
 from djpt.emitters.sky.dome import SkyDome, atmosphere
-from djpt.emitters.sky.position import FARTHEST, TimeAndPlace, sun_direction
+from djpt.emitters.sky.position import FARTHEST, WITHIN_REACH, TimeAndPlace, sun_direction
 from djpt.emitters.sky.tables import entries_between, table
 from djpt.errors import ParameterError, SceneError
 from djpt.jit.kernels import as_float, opaque
@@ -58,7 +58,10 @@ class TimedSunSky(Daylight):
 
     in_any_frame = True
     in_time = True
-    times_and_places = (*PLACE, *DATES)
+    allowed: ClassVar[Mapping[str, Allowed]] = {
+        **Daylight.allowed,
+        **dict.fromkeys((*PLACE, *DATES), WITHIN_REACH),
+    }
     values: ClassVar[Mapping[str, ParamFlags]] = {
         **Daylight.values,
         **dict.fromkeys((*PLACE, *WINDOW, "first_day", "days", "shutter_open", "per_shutter"), HIDDEN),

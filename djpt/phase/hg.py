@@ -14,7 +14,7 @@ from djpt.core.records.interactions import MediumInteraction3f
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.description.registry import register_phase
-from djpt.errors import ParameterError, SceneError
+from djpt.errors import ParameterError
 from djpt.jit.frozen import recording
 from djpt.jit.kernels import as_float
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Vector3f
@@ -45,13 +45,8 @@ class HGPhaseFunction(PhaseFunction):
 
     def check_parameter(self, name: str, value: Any) -> Any:
         jit = dr.is_array_v(value) and dr.is_jit_v(value)
-        if not recording():
-            try:
-                number = as_number(dr.detach(value) if jit else value)
-            except SceneError as error:
-                raise ParameterError(str(error)) from None
-            if not -1 < number < 1:
-                raise ParameterError(f"must lie in (-1, 1), found {number:.9g}")
+        if not recording() and not -1 < (number := as_number(dr.detach(value) if jit else value)) < 1:
+            raise ParameterError(f"must lie in (-1, 1), found {number:.9g}")
         return Float(value)
 
     def sample(

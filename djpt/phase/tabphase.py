@@ -16,7 +16,7 @@ from djpt.description.plugin import HIDDEN, ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_phase
 from djpt.dispatch.tables import entry_at
-from djpt.errors import ParameterError, SceneError
+from djpt.errors import SceneError
 from djpt.jit.frozen import recording
 from djpt.jit.kernels import as_float, own_floats
 from djpt.jit.types import Bool, Color3f, Float, Point2f, TensorXf, UInt32, Vector3f
@@ -43,10 +43,8 @@ class TabulatedPhaseFunction(PhaseFunction):
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         given = props.raw("values")
-        try:
+        with props.naming("values"):
             self.numbers = as_numbers(numbers_in(given) if isinstance(given, str) else given)
-        except SceneError as error:
-            raise props.error("values", str(error)) from None
         self._measure()
 
     def _measure(self) -> None:
@@ -71,10 +69,7 @@ class TabulatedPhaseFunction(PhaseFunction):
         callback.put("values", self.numbers, flags, "numbers")
 
     def check_parameter(self, name: str, value: Any) -> Any:
-        try:
-            return as_numbers(value)
-        except SceneError as error:
-            raise ParameterError(f"{self.id()}.values: {error}") from None
+        return as_numbers(value)
 
     def parameters_changed(self, keys: Sequence[str]) -> None:
         self._measure()

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from djpt.core.numeric import as_array
 from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
 from djpt.description.properties import Properties
-from djpt.errors import DjptError, ParameterError, SceneError, near_miss
+from djpt.errors import ParameterError, SceneError, near_miss
 from djpt.jit.kernels import own_floats
 from djpt.jit.types import ArrayXf, Bool, Color3f, Float, UInt32
 from djpt.shapes.base import Shape
@@ -260,10 +260,8 @@ class Cloud(Shape):
 def numbers(props: Properties, key: str, shape: tuple[int | None, int | None]) -> NDArray[np.float64]:
     """The entry of a key as a table; None in `shape` stands for any size."""
     value = props.raw(key)
-    try:
+    with props.naming(key):
         found = as_array(np.array(dr.detach(value)) if dr.is_array_v(value) else value)
-    except DjptError as error:
-        raise props.error(key, str(error)) from None
     if found.ndim == 1 and shape[1]:
         found = found.reshape(-1, shape[1]) if found.size % shape[1] == 0 else found
     if found.ndim != 2 or any(n is not None and n != m for n, m in zip(shape, found.shape, strict=True)):

@@ -11,7 +11,7 @@ from djpt.core.numeric import as_array, describe
 from djpt.description.plugin import HIDDEN, ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_shape
-from djpt.errors import DjptError, ParameterError
+from djpt.errors import ParameterError
 from djpt.jit.kernels import as_float, as_vector
 from djpt.jit.types import Float, Point3f, Vector3f
 from djpt.shapes.axes import AxisPool
@@ -128,10 +128,8 @@ class Metaballs(LevelSet):
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         raw = props.raw("balls")
-        try:
+        with props.naming("balls"):
             balls = as_array(raw)
-        except DjptError as error:
-            raise props.error("balls", str(error)) from None
         if balls.ndim != 2 or balls.shape[1:] != (4,) or len(balls) == 0 or len(balls) > 64:
             raise props.error("balls", f"must be 1 to 64 rows of x, y, z and a radius, found shape {balls.shape}")
         if (balls[:, 3] <= 0).any():

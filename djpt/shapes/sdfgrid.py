@@ -73,10 +73,7 @@ class SDFGrid(LevelSet):
 
     def parameters_changed(self, keys: Sequence[str]) -> None:
         if "grid" in keys:
-            try:
-                self._index(samples(self.grid))
-            except DjptError as error:
-                raise ParameterError(f"{self.id()}.grid: {error}") from None
+            self._index(samples(self.grid))
 
     # ---- on the host ---------------------------------------------------------------
 

@@ -19,7 +19,7 @@ from djpt.description.properties import Allowed, Properties
 from djpt.description.registry import register_texture
 from djpt.distributions import DiscreteDistribution2D
 from djpt.distributions.grids import luminance
-from djpt.errors import ParameterError, SceneError
+from djpt.errors import SceneError
 from djpt.jit.frozen import recording
 from djpt.jit.kernels import as_float, lerp, maximum, minimum
 from djpt.jit.types import Bool, Color3f, Float, Point2f, ScalarArray2i, UInt32, Vector2f
@@ -160,18 +160,15 @@ class Bitmap(UVTexture):
     def check_parameter(self, name: str, value: Any) -> Any:
         if name != "data":
             return super().check_parameter(name, value)
-        try:
-            texels = as_texels(value)
-            if texels.shape[2] != self.channels:
-                raise SceneError(f"must keep its {self.channels} channels, found {texels.shape[2]}")
-            if not recording():
-                pixels = numbers_of(texels)
-                check_texels(pixels)
-                self._allowed.require(pixels)
-            elif self.distribution is not None and texels.shape != self.data.shape:
-                raise SceneError("must keep its size on a light while 'dr.freeze' records")
-        except SceneError as error:
-            raise ParameterError(f"{self.id()}.data: {error}") from None
+        texels = as_texels(value)
+        if texels.shape[2] != self.channels:
+            raise SceneError(f"must keep its {self.channels} channels, found {texels.shape[2]}")
+        if not recording():
+            pixels = numbers_of(texels)
+            check_texels(pixels)
+            self._allowed.require(pixels)
+        elif self.distribution is not None and texels.shape != self.data.shape:
+            raise SceneError("must keep its size on a light while 'dr.freeze' records")
         return texels
 
     # ---- in kernels --------------------------------------------------------------------

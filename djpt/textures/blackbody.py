@@ -11,7 +11,6 @@ from djpt.core.numeric import as_number
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Allowed, Properties
 from djpt.description.registry import register_texture
-from djpt.errors import ParameterError, SceneError
 from djpt.images.colorimetry import LONGEST, SHORTEST
 from djpt.textures.spectrum import Pairs, TabulatedSpectrum, pairs_of
 
@@ -59,11 +58,8 @@ class BlackBody(TabulatedSpectrum):
         callback.put("temperature", self.temperature, ParamFlags.NonDifferentiable)
 
     def check_parameter(self, name: str, value: Any) -> Any:
-        try:
-            number = as_number(value)
-            Allowed(0.0, low_open=True).require(np.array([number]))
-        except SceneError as error:
-            raise ParameterError(str(error)) from None
+        number = as_number(value)
+        Allowed(0.0, low_open=True).require(np.array([number]))
         return number
 
     def parameters_changed(self, keys: Sequence[str]) -> None:

@@ -11,7 +11,6 @@ from djpt.core.numeric import as_array
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_texture
-from djpt.errors import ParameterError, SceneError
 from djpt.jit.types import Float
 from djpt.textures.spectrum import TabulatedSpectrum, list_of_numbers, nested_pairs, pairs_of
 
@@ -48,10 +47,7 @@ class IrregularSpectrum(TabulatedSpectrum):
         return value
 
     def parameters_changed(self, keys: Sequence[str]) -> None:
-        try:
-            self.set_pairs(pairs_of(as_array(self.wavelengths).reshape(-1), as_array(self.samples).reshape(-1)))
-        except SceneError as error:
-            raise ParameterError(f"{self.id()}: {error}") from None
+        self.set_pairs(pairs_of(as_array(self.wavelengths).reshape(-1), as_array(self.samples).reshape(-1)))
 
 
 register_texture("irregular", IrregularSpectrum)

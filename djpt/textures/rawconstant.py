@@ -48,10 +48,7 @@ class RawConstant(Texture):
         return Float(float(numbers)) if numbers.ndim == 0 else Color3f(*numbers.tolist())
 
     def check_parameter(self, name: str, value: Any) -> Any:
-        try:
-            converted = self._convert(value)
-        except SceneError as error:
-            raise ParameterError(str(error)) from None
+        converted = self._convert(value)
         if dr.depth_v(converted) != dr.depth_v(self.value):
             raise ParameterError(f"must be {'one number' if self.channels == 1 else 'three'}, found {describe(value)}")
         return converted

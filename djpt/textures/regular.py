@@ -12,7 +12,6 @@ from djpt.core.numeric import as_array
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_texture
-from djpt.errors import ParameterError, SceneError
 from djpt.jit.types import Float
 from djpt.textures.spectrum import TabulatedSpectrum, list_of_numbers, nested_pairs, pairs_of
 
@@ -56,10 +55,7 @@ class RegularSpectrum(TabulatedSpectrum):
 
     def parameters_changed(self, keys: Sequence[str]) -> None:
         values = as_array(self.samples).reshape(-1)
-        try:
-            self.set_pairs(pairs_of(np.linspace(self.range[0], self.range[1], len(values)), values))
-        except SceneError as error:
-            raise ParameterError(f"{self.id()}: {error}") from None
+        self.set_pairs(pairs_of(np.linspace(self.range[0], self.range[1], len(values)), values))
 
 
 register_texture("regular", RegularSpectrum)

@@ -13,7 +13,7 @@ from djpt.core.numeric import as_array, describe
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Allowed, Properties
 from djpt.description.registry import register_texture
-from djpt.errors import ParameterError, SceneError
+from djpt.errors import SceneError
 from djpt.jit.frozen import recording
 from djpt.jit.types import Bool, Color3f, Float
 from djpt.textures.base import Texture
@@ -75,13 +75,7 @@ class ConstantTexture(Texture):
         self._allowed = self._allowed.within(allowed)
 
     def check_parameter(self, name: str, value: Any) -> Any:
-        try:
-            color = self._convert(value)
-            if not recording():
-                self._allowed.require(self._numbers(color))
-        except SceneError as error:
-            raise ParameterError(str(error)) from None
-        return color
+        return self._allowed.checked(self._convert(value))
 
     @staticmethod
     def _numbers(color: Color3f) -> NDArray[np.float64]:

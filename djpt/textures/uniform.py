@@ -11,8 +11,7 @@ from djpt.core.numeric import as_array, as_number, describe
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Allowed, Properties
 from djpt.description.registry import register_texture
-from djpt.errors import ParameterError, SceneError
-from djpt.jit.frozen import recording
+from djpt.errors import ParameterError
 from djpt.jit.kernels import as_float
 from djpt.jit.types import Bool, Color3f, Float
 from djpt.textures.base import Texture
@@ -61,16 +60,8 @@ class UniformTexture(Texture):
             if dr.width(number) != 1:
                 raise ParameterError(f"must be one number, found {describe(value)}")
         else:
-            try:
-                number = Float(as_number(value))
-            except SceneError as error:
-                raise ParameterError(str(error)) from None
-        if not recording():
-            try:
-                self._allowed.require(as_array(dr.detach(number)))
-            except SceneError as error:
-                raise ParameterError(str(error)) from None
-        return number
+            number = Float(as_number(value))
+        return self._allowed.checked(number)
 
 
 register_texture("uniform", UniformTexture)

@@ -12,7 +12,7 @@ from djpt.core.numeric import as_array, describe
 from djpt.core.transforms import ScalarTransform3f, ScalarTransform4f, matrix_of
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
-from djpt.errors import ParameterError, SceneError
+from djpt.errors import SceneError
 from djpt.jit.kernels import as_vector
 from djpt.jit.types import Float, Point2f, Vector2f, Vector3f
 from djpt.textures.base import Texture
@@ -52,10 +52,7 @@ class UVTexture(Texture):
     def check_parameter(self, name: str, value: Any) -> Any:
         if name != "to_uv":
             return value
-        try:
-            return as_uv_transform(value)
-        except SceneError as error:
-            raise ParameterError(f"{self.id()}.to_uv: {error}") from None
+        return as_uv_transform(value)
 
     def parameters_changed(self, keys: Sequence[str]) -> None:
         if "to_uv" in keys:

@@ -20,7 +20,7 @@ from djpt.description.plugin import HIDDEN, ParamFlags, TraversalCallback
 from djpt.description.properties import Allowed, Properties
 from djpt.description.registry import register_volume
 from djpt.dispatch.tables import entry_at
-from djpt.errors import ArgumentError, FileError, ParameterError, SceneError
+from djpt.errors import ArgumentError, SceneError
 from djpt.jit.frozen import recording
 from djpt.jit.kernels import as_float, as_vector, lerp, maximum
 from djpt.jit.types import Bool, Color3f, Float, Point3f, TensorXf, UInt32, Vector3f
@@ -145,17 +145,14 @@ class GridVolume(Volume):
         callback.put("to_world", self.to_world)
 
     def check_parameter(self, name: str, value: Any) -> Any:
-        try:
-            if name == "to_world":
-                return as_transform(value)
-            voxels = as_voxels(value)
-            if voxels.shape[3] != self.channels:
-                raise SceneError(f"must keep its {self.channels} channels, found {voxels.shape[3]}")
-            if not recording():
-                check_voxels(numbers_of(voxels))
-                self._allowed.require(numbers_of(voxels))
-        except SceneError as error:
-            raise ParameterError(f"{self.id()}.{name}: {error}") from None
+        if name == "to_world":
+            return as_transform(value)
+        voxels = as_voxels(value)
+        if voxels.shape[3] != self.channels:
+            raise SceneError(f"must keep its {self.channels} channels, found {voxels.shape[3]}")
+        if not recording():
+            check_voxels(numbers_of(voxels))
+            self._allowed.require(numbers_of(voxels))
         return voxels
 
     def parameters_changed(self, keys: Sequence[str]) -> None:
@@ -323,7 +320,7 @@ def load_voxels(props: Properties) -> tuple[TensorXf, ScalarBoundingBox3f | None
         raise SceneError(f"{props.node}: '{props.plugin_name()}' needs one of {', '.join(SOURCES)}; found {found}")
     key = given[0]
     box = None
-    try:
+    with props.naming(key):
         if key == "data":
             voxels = as_voxels(props.raw(key))
         else:
@@ -331,10 +328,6 @@ def load_voxels(props: Properties) -> tuple[TensorXf, ScalarBoundingBox3f | None
             grid = source if isinstance(source, VolumeGrid) else VolumeGrid(source)
             voxels, box = as_voxels(grid.voxels()), grid.bbox()
         check_voxels(numbers_of(voxels))
-    except (ArgumentError, FileError) as error:
-        raise props.error(key, str(error)) from None
-    except SceneError as error:
-        raise props.error(key, str(error)) from None
     return voxels, box
 
 

@@ -105,7 +105,7 @@ def test_one_environment() -> None:
         ("spot-default", "beam_width", 30.0, "light: beam_width 30 must be at most cutoff_angle, 20"),
         ("spot-default", "intensity.value", -1.0, "light.intensity.value: must be at least 0, found -1"),
         ("spot-default", "to_world", SHEARED, "light.to_world: must not shear"),
-        ("spot-default", "cutoff_angle", "wide", "light.cutoff_angle: must be a float"),
+        ("spot-default", "cutoff_angle", "wide", "light.cutoff_angle: must be numbers"),
         ("projector-default", "scale", -1.0, "light.scale: must be at least 0, found -1"),
         ("directional-default", "irradiance.value", [1, -1, 1], "light.irradiance.value: must be at least 0"),
         ("directional-default", "sampling_weight", -1.0, "light.sampling_weight: must be at least 0"),

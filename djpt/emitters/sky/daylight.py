@@ -10,7 +10,6 @@ from typing import Any, ClassVar
 import drjit as dr
 
 from djpt.core.frame import Frame3f
-from djpt.core.numeric import as_number, non_negative
 from djpt.core.records import (
     DirectionSample3f,
     EmissionSample,
@@ -22,16 +21,12 @@ from djpt.core.records import (
 )
 from djpt.core.warp import square_to_uniform_disk_concentric
 from djpt.description.plugin import HIDDEN, ParamFlags, TraversalCallback
-from djpt.description.properties import Properties
-from djpt.description.properties import bounds as within
+from djpt.description.properties import Allowed, Properties
 from djpt.emitters.base import InfiniteEmitter, beam
 from djpt.emitters.extent import number
 from djpt.emitters.oriented import OrientedEmitter
 from djpt.emitters.sky.directions import SkyDirections
 from djpt.emitters.sky.dome import WAVELENGTHS, SkyDome, SunDisc, squared_chord
-from djpt.emitters.sky.position import FARTHEST
-from djpt.errors import ParameterError
-from djpt.jit.frozen import recording
 from djpt.jit.kernels import as_float, maximum
 from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, Vector3f
 
@@ -103,9 +98,10 @@ class Daylight(InfiniteEmitter, OrientedEmitter):
     }
     m_flags = int(EmitterFlags.Infinite | EmitterFlags.SpatiallyVarying)
     children: ClassVar[tuple[str, ...]] = ("disc",)
-    times_and_places: ClassVar[tuple[str, ...]] = ()
-    """The parameters that are dates, times and angles: numbers up to `FARTHEST`."""
-
+    allowed: ClassVar[Mapping[str, Allowed]] = {
+        **dict.fromkeys(("sky_scale", "sun_scale"), Allowed(0.0)),
+        "turbidity": Allowed(1.0, 10.0),
+    }
     irradiance: Any
     """On the host: the luminance of the light that a horizontal square metre gets."""
 
@@ -128,16 +124,6 @@ class Daylight(InfiniteEmitter, OrientedEmitter):
         for name in ("turbidity", "sky_scale", "sun_scale"):
             callback.put(name, getattr(self, name), HIDDEN)
         callback.put("albedo", self.albedo)
-
-    def check_parameter(self, name: str, value: Any) -> Any:
-        if not recording():
-            if name in ("sky_scale", "sun_scale"):
-                non_negative(value)
-            elif name == "turbidity" and not 1 <= as_number(value) <= 10:
-                raise ParameterError(f"must {within(1, 10)}, found {as_number(value):g}")
-            elif name in self.times_and_places and not abs(as_number(value)) <= FARTHEST:
-                raise ParameterError(f"must {within(-FARTHEST, FARTHEST)}, found {as_number(value):g}")
-        return super().check_parameter(name, value)
 
     # ---- on the host -------------------------------------------------------------------
 

@@ -10,10 +10,15 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["FARTHEST", "TimeAndPlace", "sun_direction"]
+from djpt.description.properties import Allowed
+
+__all__ = ["FARTHEST", "WITHIN_REACH", "TimeAndPlace", "sun_direction"]
 
 FARTHEST = 1_000_000
 """The largest number of a date, a time or an angle: of larger ones trigonometry and calendars are noise."""
+
+WITHIN_REACH = Allowed(-FARTHEST, FARTHEST)
+"""The range of dates, times and angles."""
 
 EPOCH = 2451545.0
 """The Julian date of noon, universal time, on 1 January 2000."""
