@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import html
 import os
 from collections.abc import Iterable
@@ -14,9 +13,9 @@ import numpy.typing as npt
 
 from djpt.errors import FileError
 from djpt.images.formats import DISPLAY_FORMATS
-from djpt.images.image import Image, write
+from djpt.images.image import Image, png_address, write
 
-__all__ = ["Bytes", "Pictured", "address", "difference_picture", "document", "read_beside"]
+__all__ = ["Bytes", "Pictured", "difference_picture", "document", "read_beside"]
 
 Bytes = npt.NDArray[np.uint8]
 
@@ -48,7 +47,7 @@ class Pictured:
 
     def _repr_html_(self) -> str:
         """The picture and the table, for notebooks."""
-        return f'<img src="{address(self._repr_png_())}"><pre>{html.escape(str(self))}</pre>'
+        return f'<img src="{png_address(self._repr_png_())}"><pre>{html.escape(str(self))}</pre>'
 
 
 def difference_picture(image: Any, reference: Any, scale: float) -> Bytes:
@@ -57,11 +56,6 @@ def difference_picture(image: Any, reference: Any, scale: float) -> Bytes:
     away = np.clip(np.abs(signed), 0, 1)[..., None]
     hue = np.where(signed[..., None] > 0, np.array([178.0, 24, 43]), np.array([33.0, 102, 172]))
     return np.asarray(np.rint(255 + (hue - 255) * away), np.uint8)
-
-
-def address(png: bytes) -> str:
-    """A PNG as an address that has it all, for pages that need no other file."""
-    return "data:image/png;base64," + base64.b64encode(png).decode("ascii")
 
 
 def read_beside(module: str, name: str) -> str:

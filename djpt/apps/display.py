@@ -12,7 +12,7 @@ from djpt.rendering.progress import running_notebook, running_shell
 if TYPE_CHECKING:
     from djpt.rendering.progressive.accumulation import Accumulation
 
-__all__ = ["LEAST_SIZE", "picture_of", "show_images", "show_passes"]
+__all__ = ["LEAST_SIZE", "displayed", "picture_of", "show_images", "show_passes", "source"]
 
 INTERVAL = 0.5
 """The least time between two pictures, in seconds."""
@@ -36,7 +36,7 @@ def show_passes(passes: Iterator[Accumulation]) -> Accumulation:
     try:
         for found in passes:
             if running_notebook() and time.perf_counter() - shown >= INTERVAL:
-                handle = displayed(found, handle)
+                handle = displayed(caption(found), handle)
                 shown = time.perf_counter()
     except KeyboardInterrupt:
         if found is None:
@@ -44,27 +44,32 @@ def show_passes(passes: Iterator[Accumulation]) -> Accumulation:
     if found is None:
         raise RenderError("'passes' has no rounds; expected what djpt.render_passes returned")
     if running_notebook():
-        displayed(found, handle)
+        displayed(caption(found), handle)
     return found
 
 
-def displayed(found: Accumulation, handle: object) -> object:
-    """Show an image in the place of `handle`, or in a new one below the cell; returns the place."""
-    import base64
-
-    from IPython.display import HTML, display
-
-    from djpt.images.image import Image
-
-    pixels = found.image().numpy()
-    data = base64.b64encode(Image(pixels if pixels.shape[2] <= 4 else pixels[..., :3])._repr_png_()).decode()
+def caption(found: Accumulation) -> str:
+    """An image so far as HTML, with the samples and the estimated error."""
     error = found.error().overall
     text = f"{found.spp} spp" + (f", error {error:.2%}" if error < float("inf") else "")
-    html = HTML(f'<figure><img src="data:image/png;base64,{data}"><figcaption>{text}</figcaption></figure>')
+    return f'<figure><img src="{source(found.image().numpy())}"><figcaption>{text}</figcaption></figure>'
+
+
+def displayed(text: str, handle: Any) -> Any:
+    """Show HTML in the place of `handle`, or in a new one below the cell; returns the place."""
+    from IPython.display import HTML, display
+
     if handle is None:
-        return display(html, display_id=True)
-    handle.update(html)  # type: ignore[attr-defined]
+        return display(HTML(text), display_id=True)
+    handle.update(HTML(text))
     return handle
+
+
+def source(pixels: Any) -> str:
+    """Linear pixels (H, W, C) as the address of an image in HTML."""
+    from djpt.images.image import Image, png_address
+
+    return png_address(Image(pixels)._repr_png_())
 
 
 # ---- images that show themselves -------------------------------------------------------------

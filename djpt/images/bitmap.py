@@ -9,7 +9,6 @@ Files are read and written by `djpt.images.stored`, numbers converted by `djpt.i
 
 from __future__ import annotations
 
-import base64
 import math
 import os
 from collections.abc import Sequence
@@ -37,7 +36,7 @@ from djpt.images.bitmap_formats import (
     obtainable,
     pixel_format_of,
 )
-from djpt.images.image import Image
+from djpt.images.image import Image, png_address
 from djpt.images.resampler import FilterBoundaryCondition, values_of
 from djpt.images.resampling import lanczos, resampled, taps_between
 from djpt.images.stored import Stored, format_of, load_stored, save_stored, stored_from_stream, stored_to_stream
@@ -515,4 +514,4 @@ class Bitmap(BitmapKinds):
     def _repr_html_(self) -> str | None:
         """`_repr_png_` as HTML."""
         png = self._repr_png_()
-        return None if png is None else f'<img src="data:image/png;base64,{base64.b64encode(png).decode()}">'
+        return None if png is None else f'<img src="{png_address(png)}">'

@@ -10,6 +10,7 @@ written and read as such tensors; `Image` is only a view for notebooks and for N
 
 from __future__ import annotations
 
+import base64
 import contextlib
 import io
 import os
@@ -43,6 +44,7 @@ __all__ = [
     "Image",
     "check_writable",
     "checked_labels",
+    "png_address",
     "read",
     "read_metadata",
     "read_pixels",
@@ -111,6 +113,11 @@ class Image:
         stream = io.BytesIO()
         encode_png(stream, shown.repeat(factor, axis=0).repeat(factor, axis=1))
         return stream.getvalue()
+
+
+def png_address(png: bytes) -> str:
+    """A PNG as an address that holds all of it, for pages that need no other file."""
+    return "data:image/png;base64," + base64.b64encode(png).decode("ascii")
 
 
 def write(

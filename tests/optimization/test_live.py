@@ -5,14 +5,13 @@ from __future__ import annotations
 import io
 import sys
 from types import ModuleType, SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 
 import djpt
 from djpt.apps.optimization import Progressed, optimize
-from djpt.apps.optimization.live import LiveSearch, curve, shown_live, sparkline
+from djpt.apps.optimization.live import LiveSearch, curve, sparkline
 from tests.optimization.test_optimize import KEY, floor, grey, pictures
 
 
@@ -54,20 +53,16 @@ def test_a_terminal_shows_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
 
     terminal = Terminal()
     monkeypatch.setattr(sys, "stderr", terminal)
-    with shown_live(True, [4.0]) as shows:
-        assert shows is not None
+    with LiveSearch([4.0]) as shows:
         for i, loss in enumerate((2.0, 1.0)):
             shows(Progressed(i, loss, {}, 0.0))
     assert terminal.getvalue().endswith("\r2 █▅▁ loss 1\033[K\n")
 
 
 def test_elsewhere_nothing_is_shown(capsys: pytest.CaptureFixture[str]) -> None:
-    shows: Any = LiveSearch()
-    shows(Progressed(0, 1.0, {}, 0.0))
-    shows.end()
+    with LiveSearch() as shows:
+        shows(Progressed(0, 1.0, {}, 0.0))
     assert capsys.readouterr() == ("", "")
-    with shown_live(False, []) as nothing:
-        assert nothing is None
 
 
 def test_losses_of_any_sort_are_drawn() -> None:

@@ -15,13 +15,13 @@ import numpy.typing as npt
 
 import djpt
 from djpt.images.formats import encode_png
-from djpt.images.image import Image
+from djpt.images.image import Image, png_address
 from djpt.images.srgb import to_srgb8
 from djpt.jit.backends import variant
 from djpt.validation.integrator_comparison.measure import Ladder, Measured
-from djpt.validation.report import address, document, read_beside
+from djpt.validation.report import document, read_beside
 
-__all__ = ["ERROR_COLORS", "Curve", "address", "chart", "error_map", "html", "plain", "shown"]
+__all__ = ["ERROR_COLORS", "Curve", "chart", "error_map", "html", "plain", "shown"]
 
 GOLDEN_ANGLE = 137.5
 """The angle between the hues of neighbouring curves, in degrees."""
@@ -66,7 +66,7 @@ def pictures(ladder: Ladder) -> str:
     reference, name = ladder.reference, escape(ladder.name)
     cards = [
         "<figure>"
-        f'<img id="reference" src="{png_address(shown(reference.image))}" alt="{name}, the reference">'
+        f'<img id="reference" src="{embedded(shown(reference.image))}" alt="{name}, the reference">'
         f'<figcaption><strong>reference</strong><span class="numbers">{plain(reference.spp)} spp</span>'
         f"<span>{escape(reference.title)}, other seeds.</span>{leaves_out(reference.missing)}"
         f"{remarks(reference.notes)}</figcaption></figure>"
@@ -74,7 +74,7 @@ def pictures(ladder: Ladder) -> str:
     for i, found in enumerate(ladder.measured):
         title = escape(found.step.title)
         alt = f"{name} by {title}, {found.last.spp} samples per pixel"
-        picture = f'<img src="{png_address(shown(found.image))}" alt="{alt}" data-step="{i}" data-title="{title}">'
+        picture = f'<img src="{embedded(shown(found.image))}" alt="{alt}" data-step="{i}" data-title="{title}">'
         numbers = f"{plain(found.last.spp)} spp, RMSE {decimals(found.last.rmse)}"
         cards.append(
             f'<figure><button aria-label="Compare {title} with the reference">{picture}</button>'
@@ -108,11 +108,11 @@ def maps(ladder: Ladder) -> str:
     for i, (found, error) in enumerate(zip(ladder.measured, errors, strict=True)):
         title = escape(found.step.title)
         alt = f"Errors of {title}: RMSE {decimals(found.last.rmse)}"
-        picture = f'<img id="errors-{i}" src="{png_address(error_map(error, low, high))}" alt="{alt}">'
+        picture = f'<img id="errors-{i}" src="{embedded(error_map(error, low, high))}" alt="{alt}">'
         numbers = f'<span class="numbers">RMSE {decimals(found.last.rmse)}</span>'
         cards.append(f"<figure>{picture}<figcaption><strong>{title}</strong>{numbers}</figcaption></figure>")
     ticks = "".join(f"<span>{plain(10.0**k)}</span>" for k in range(low, high + 1))
-    bar = f'<img src="{png_address(ERROR_COLORS[None])}" alt="Colours of errors from 1e{low} to 1e{high}">'
+    bar = f'<img src="{embedded(ERROR_COLORS[None])}" alt="Colours of errors from 1e{low} to 1e{high}">'
     return (
         '<section id="errors">\n<h2>Errors per pixel</h2>\n'
         '<p class="note">Root mean square over the colour channels, in units of radiance. One scale for all.</p>\n'
@@ -449,11 +449,11 @@ ERROR_COLORS = error_colors()
 """The colours of `error_map`, from small to large errors."""
 
 
-def png_address(pixels: Bytes) -> str:
+def embedded(pixels: Bytes) -> str:
     """Encode bytes of sRGB as a PNG in a `data:` address."""
     stream = io.BytesIO()
     encode_png(stream, pixels)
-    return address(stream.getvalue())
+    return png_address(stream.getvalue())
 
 
 def shown(image: Pixels) -> Bytes:

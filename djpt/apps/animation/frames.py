@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from djpt.core.files import as_path, check_target, writing
-from djpt.description.parameters import SceneParameters, traverse
+from djpt.description.parameters import traverse
 from djpt.errors import BackendError, FileError, ParameterError, near_miss
 from djpt.images.image import Image, check_writable, read_pixels, write
 from djpt.rendering.progressive.checkpoint import difference, fingerprint
@@ -85,33 +85,21 @@ def render_frames(
     claim(folder, {"scene": nodes, "motion": digest(values), "spp": spp, "seed": seed, "facts": dict(facts or {})})
     if files:
         check_writable(files[0])
-    return remaining(
-        files,
-        values,
-        params,
-        before,
-        lambda number: render(scene, sensor=sensor, integrator=integrator, spp=spp, seed=round_seed(seed, number)),
-        convert or (lambda image: image),
-    )
 
+    def rendered() -> Iterator[Path]:
+        try:
+            for number, file in enumerate(files):
+                if not file.exists():
+                    params.update(values[number])
+                    seed_of_frame = round_seed(seed, number)
+                    image = render(scene, sensor=sensor, integrator=integrator, spp=spp, seed=seed_of_frame)
+                    write(file, image if convert is None else convert(image))
+                yield file
+        finally:
+            params.update(before)
 
-def remaining(
-    files: list[Path],
-    values: list[dict[str, Any]],
-    params: SceneParameters,
-    before: dict[str, Any],
-    image: Callable[[int], Any],
-    convert: Callable[[Any], Any],
-) -> Iterator[Path]:
-    """Render the frames whose files are missing."""
-    try:
-        for number, file in enumerate(files):
-            if not file.exists():
-                params.update(values[number])
-                write(file, convert(image(number)))
-            yield file
-    finally:
-        params.update(before)
+    # Wrong arguments are errors of this call, and not of the first frame.
+    return rendered()
 
 
 # ---- one animation for a folder ----------------------------------------------------------------

@@ -16,7 +16,7 @@ from djpt.apps.cli.console import announce
 from djpt.core.files import check_target, reason
 from djpt.core.interruption import Interruption, interruptible
 from djpt.core.terminal import beneath, visible
-from djpt.errors import BackendError, FileError, RenderError
+from djpt.errors import FileError, RenderError
 from djpt.rendering.progress import has_terminal, short
 
 if TYPE_CHECKING:
@@ -161,18 +161,13 @@ class Passes:
         if self.cluster is None:
             yield None
             return
-        try:
-            from distributed import Client
-        except ImportError:
-            raise BackendError("clusters need the package 'distributed': pip install 'dask[distributed]'") from None
         from djpt.apps.cluster.rendering import within
+        from djpt.apps.cluster.work import distributed
 
+        connect = distributed().Client
         try:
             with interruption.waiting():
-                client: Any = within(
-                    CONNECTION_SECONDS,
-                    lambda: Client(self.cluster, timeout=CONNECTION_SECONDS),  # type: ignore[no-untyped-call]
-                )
+                client = within(CONNECTION_SECONDS, lambda: connect(self.cluster, timeout=CONNECTION_SECONDS))
         except Exception as error:  # also what the answer of a server of another kind leads to
             raise RenderError(f"no scheduler answers at '{self.cluster}': {unanswered(error)}") from None
         try:

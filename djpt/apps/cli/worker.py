@@ -12,7 +12,7 @@ import click
 from djpt.apps.cli.console import Command, require_positive
 from djpt.core.files import reason
 from djpt.core.interruption import Terminated, end_at_once
-from djpt.errors import BackendError, RenderError
+from djpt.errors import RenderError
 
 __all__ = ["command"]
 
@@ -44,20 +44,17 @@ def command(
     require_positive(threads=threads)
     if not scheduler.strip():
         raise RenderError("ADDRESS must be that of a scheduler, such as tcp://host:8786; found ''")
-    try:
-        from distributed import Worker
-    except ImportError:
-        raise BackendError("clusters need the package 'distributed': pip install 'dask[distributed]'") from None
     import drjit as dr
 
-    import djpt.apps.cluster.work  # noqa: F401 (compiles nothing later than it must)
+    from djpt.apps.cluster.work import distributed  # also the code of its tasks, before they come
 
+    worker = distributed().Worker
     if threads is not None:
         dr.set_thread_count(threads)
 
     async def start() -> None:
         # One task at a time: Dr.Jit's threads share each of them.
-        await work(Worker(scheduler, nthreads=1, name=name, death_timeout=CONNECTION_SECONDS))
+        await work(worker(scheduler, nthreads=1, name=name, death_timeout=CONNECTION_SECONDS))
 
     try:
         asyncio.run(start())

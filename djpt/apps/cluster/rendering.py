@@ -7,12 +7,13 @@ import time
 import uuid
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any, Generic, NamedTuple, TypeVar
+from concurrent.futures import Future, wait
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from djpt.apps.cluster.work import Answer, Bundle, differentiated, rendered, software
+from djpt.apps.cluster.work import Answer, Bundle, differentiated, distributed, rendered, software
 from djpt.core.numeric import whole
 from djpt.errors import BackendError, DjptError, ParameterError, RenderError
 from djpt.rendering.progressive.accumulation import Accumulation, EvenAccumulation
@@ -166,12 +167,12 @@ class InOrder:
         killed = 0
         while True:
             attempt = self._ended(number)
-            question: Question[Answer] = Question(attempt.future.result)
-            if not self._fetched(question, attempt):
+            coming: Future[Answer] = asked(attempt.future.result)
+            if not self._fetched(coming, attempt):
                 self._retry(number, attempt)
                 continue
             try:
-                answer = question.answer()
+                answer = coming.result()
             except (KilledWorker, FutureCancelledError) as error:
                 self._require_scheduler()
                 killed += 1
@@ -189,9 +190,9 @@ class InOrder:
                 ended.future.release()
             return answer.value
 
-    def _fetched(self, question: Question[Answer], attempt: Attempt) -> bool:
+    def _fetched(self, coming: Future[Answer], attempt: Attempt) -> bool:
         """Wait for a result to arrive; False if it doesn't, since a stopped worker doesn't send its results."""
-        while not question.ended(LOOK_SECONDS):
+        while not wait([coming], LOOK_SECONDS).done:
             self._look()
             if self._watch.live and not self._watch.trusts(attempt.allowed):
                 return False
@@ -276,11 +277,7 @@ def identity(bundle: Bundle) -> Bundle:
 
 def require_client(client: Any) -> None:
     """Raise `BackendError` unless `client` is a `distributed.Client`."""
-    try:
-        from distributed import Client
-    except ImportError:
-        raise BackendError("clusters need the package 'distributed': pip install 'dask[distributed]'") from None
-    if not isinstance(client, Client):
+    if not isinstance(client, distributed().Client):
         raise BackendError(f"'client' must be a distributed.Client, found {type(client).__name__}")
 
 
@@ -290,40 +287,26 @@ def require_client(client: Any) -> None:
 T = TypeVar("T")
 
 
-class Question(Generic[T]):
-    """A call that runs in a thread of its own and is abandoned there if it takes too long."""
+def asked(ask: Callable[[], T]) -> Future[T]:
+    """The result to come of a call that runs in a thread of its own, where it is abandoned if it takes too long."""
+    answer: Future[T] = Future()
 
-    def __init__(self, ask: Callable[[], T]) -> None:
-        self._ask = ask
-        self._found: list[T] = []
-        self._raised: list[Exception] = []
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        self._thread.start()
-
-    def _run(self) -> None:
+    def run() -> None:
         try:
-            self._found.append(self._ask())
-        except Exception as error:  # handed on
-            self._raised.append(error)
+            answer.set_result(ask())
+        except BaseException as error:  # handed on
+            answer.set_exception(error)
 
-    def ended(self, seconds: float) -> bool:
-        """Wait for the answer for at most `seconds`; True if it has arrived."""
-        self._thread.join(seconds)
-        return not self._thread.is_alive()
-
-    def answer(self) -> T:
-        """The result of the call, or the exception that it raised, once it has ended."""
-        if self._raised:
-            raise self._raised[0]
-        return self._found[0]
+    threading.Thread(target=run, daemon=True).start()  # those of executors would be waited for at the end
+    return answer
 
 
 def within(seconds: float, ask: Callable[[], T]) -> T:
     """The result of a call; raises `TimeoutError` if it takes longer than `seconds`."""
-    question = Question(ask)
-    if not question.ended(seconds):
+    answer = asked(ask)
+    if not wait([answer], seconds).done:
         raise TimeoutError(f"no answer in {seconds:g} s")
-    return question.answer()
+    return answer.result()
 
 
 # ---- renders in rounds -----------------------------------------------------------------------

@@ -20,14 +20,14 @@ import numpy.typing as npt
 import djpt
 from djpt.core.files import read_bytes, shortened, writing
 from djpt.description.files import named_files, with_files
-from djpt.errors import FileError, SceneError
+from djpt.errors import BackendError, FileError, SceneError
 from djpt.jit.llvm.lanes import lane_count
 from djpt.rendering.progressive.rounds import Rounds
 from djpt.rendering.settings import RenderSettings
 from djpt.scene.scene import Scene
 from djpt.version import __version__
 
-__all__ = ["Answer", "Bundle", "differentiated", "rendered", "software"]
+__all__ = ["Answer", "Bundle", "differentiated", "distributed", "rendered", "software"]
 
 KEPT = 4
 """The number of scenes that a worker keeps, the most recently used ones."""
@@ -42,6 +42,15 @@ loaded: OrderedDict[str, Scene] = OrderedDict()
 
 begun: dict[tuple[str, int, int, str], Rounds] = {}
 """The render whose rounds were computed last."""
+
+
+def distributed() -> Any:
+    """The package `distributed`; raises `BackendError` if it isn't installed."""
+    try:
+        import distributed
+    except ImportError:
+        raise BackendError("clusters need the package 'distributed': pip install 'dask[distributed]'") from None
+    return distributed
 
 
 @dataclass(frozen=True)

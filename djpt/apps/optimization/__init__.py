@@ -2,6 +2,7 @@
 
 from djpt.apps.optimization.confidence import Confidence, confidence
 from djpt.apps.optimization.gauss_newton import GaussNewton
-from djpt.apps.optimization.loop import Optimization, Progressed, optimize
+from djpt.apps.optimization.live import Progressed
+from djpt.apps.optimization.loop import Optimization, optimize
 
 __all__ = ["Confidence", "GaussNewton", "Optimization", "Progressed", "confidence", "optimize"]

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-import base64
-import contextlib
 import html
 import math
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Protocol
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
+from djpt.apps.display import displayed, source
 from djpt.rendering.progress import running_notebook
 
-__all__ = ["LiveSearch", "curve", "markup", "shown_live", "sparkline"]
+__all__ = ["LiveSearch", "Progressed", "curve", "markup", "sparkline"]
 
 INTERVAL = 0.5
 """The minimum time between two displays, in seconds."""
@@ -28,36 +29,27 @@ FEW = 8
 """Parameters of at most this many numbers are shown as text."""
 
 
-class Iteration(Protocol):
-    """The display of an iteration: see `Progressed`."""
+@dataclass(frozen=True)
+class Progressed:
+    """The state that a callback gets after each iteration."""
 
-    @property
-    def iteration(self) -> int: ...
-    @property
-    def loss(self) -> float: ...
-    @property
-    def values(self) -> Mapping[str, Any]: ...
-    @property
-    def images(self) -> Mapping[int, Any]: ...
-    @property
-    def targets(self) -> Mapping[int, Any]: ...
-
-
-@contextlib.contextmanager
-def shown_live(live: bool, losses: Sequence[float]) -> Iterator[LiveSearch | None]:
-    """Provide the callback that displays a search after each iteration; None if it isn't to be shown."""
-    shows = LiveSearch(losses) if live else None
-    try:
-        yield shows
-    finally:
-        if shows is not None:
-            shows.end()
+    iteration: int
+    loss: float
+    """The loss over the views of this iteration, priors included."""
+    values: Mapping[str, Any]
+    """The parameters."""
+    seconds: float
+    """The time since the start."""
+    images: Mapping[int, Any] = field(default_factory=dict)
+    """The images of this iteration, (H, W, C) each, by their sensors."""
+    targets: Mapping[int, npt.NDArray[np.float32]] = field(default_factory=dict)
+    """The pictures that they should match."""
 
 
 class LiveSearch:
     """A callback that shows a search after each iteration: a picture below the cell of a notebook, or a terminal line.
 
-    Elsewhere nothing is shown.
+    Elsewhere nothing is shown. Used in a ``with`` statement, which shows the last iteration at its end.
 
     Args:
         losses: those of earlier iterations.
@@ -66,9 +58,9 @@ class LiveSearch:
     def __init__(self, losses: Sequence[float] = ()) -> None:
         self._losses, self._shown = list(losses), 0.0
         self._handle: Any = None
-        self._done: Iteration | None = None
+        self._done: Progressed | None = None
 
-    def __call__(self, done: Iteration) -> None:
+    def __call__(self, done: Progressed) -> None:
         """Record an iteration, and show it if the last one was shown long enough."""
         self._losses.append(done.loss)
         self._done = done
@@ -80,28 +72,20 @@ class LiveSearch:
             print(self._line(done), end="", file=sys.stderr, flush=True)
         self._shown = time.perf_counter()
 
-    def end(self) -> None:
-        """Show the last iteration, and end the terminal line."""
+    def __enter__(self) -> LiveSearch:
+        return self
+
+    def __exit__(self, *error: object) -> None:
         if self._done is not None and running_notebook():
             displayed(markup(self._done, self._losses), self._handle)
         elif self._done is not None and sys.stderr is not None and sys.stderr.isatty():
             print(self._line(self._done), file=sys.stderr)
 
-    def _line(self, done: Iteration) -> str:
+    def _line(self, done: Progressed) -> str:
         return f"\r{done.iteration + 1} {sparkline(self._losses)} loss {done.loss:.3g}\033[K"
 
 
-def displayed(text: str, handle: Any) -> Any:
-    """Show HTML in the place of `handle`, or in a new one below the cell; returns the place."""
-    from IPython.display import HTML, display
-
-    if handle is None:
-        return display(HTML(text), display_id=True)
-    handle.update(HTML(text))
-    return handle
-
-
-def markup(done: Iteration, losses: Sequence[float]) -> str:
+def markup(done: Progressed, losses: Sequence[float]) -> str:
     """A search as self-contained HTML: the curve, the parameters, a row of pictures for each view."""
     rows = []
     for key, value in done.values.items():
@@ -122,11 +106,8 @@ def markup(done: Iteration, losses: Sequence[float]) -> str:
 
 def picture(pixels: Any) -> str:
     """Linear pixels (H, W, C) as an image within HTML."""
-    from djpt.images.image import Image
-
-    values = np.array(pixels, np.float32)
-    data = base64.b64encode(Image(values if values.shape[2] <= 4 else values[..., :3])._repr_png_()).decode()
-    return f'<img src="data:image/png;base64,{data}" style="image-rendering:pixelated;min-width:96px;margin:2px">'
+    address = source(np.array(pixels, np.float32))
+    return f'<img src="{address}" style="image-rendering:pixelated;min-width:96px;margin:2px">'
 
 
 def heights(losses: Sequence[float]) -> list[float]:

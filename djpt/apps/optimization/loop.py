@@ -7,6 +7,7 @@ import json
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from djpt.apps.optimization.gauss_newton import RATE, Curvatures, GaussNewton, majorant
-from djpt.apps.optimization.live import shown_live
+from djpt.apps.optimization.live import LiveSearch, Progressed
 from djpt.apps.optimization.losses import Loss, Prior, curvature_of, loss_of, prior_of, residual_of
 from djpt.apps.optimization.variables import Variable, usual_bounds
 from djpt.core.files import as_path, open_regular, writing
@@ -28,7 +29,7 @@ from djpt.rendering.render import render
 from djpt.rendering.settings import check_count, check_seed
 from djpt.scene.scene import Scene, find_sensor
 
-__all__ = ["Optimization", "Progressed", "optimize", "order"]
+__all__ = ["Optimization", "optimize", "order"]
 
 Doubles = npt.NDArray[np.float64]
 
@@ -280,23 +281,6 @@ OPTIMIZERS: dict[str, tuple[Callable[..., Any], float]] = {
 """The optimisers by name, each with its default rate."""
 
 
-@dataclass(frozen=True)
-class Progressed:
-    """The state that a callback gets after each iteration."""
-
-    iteration: int
-    loss: float
-    """The loss over the views of this iteration, priors included."""
-    values: Mapping[str, Any]
-    """The parameters."""
-    seconds: float
-    """The time since the start."""
-    images: Mapping[int, Any] = field(default_factory=dict)
-    """The images of this iteration, (H, W, C) each, by their sensors."""
-    targets: Mapping[int, npt.NDArray[np.float32]] = field(default_factory=dict)
-    """The pictures that they should match."""
-
-
 @dataclass
 class Optimization:
     """The result of `optimize`.
@@ -410,10 +394,10 @@ def optimize(
     first, losses, sums = 0, list[float](), dict.fromkeys(names, np.zeros(()))
     if checkpoint is not None and os.path.exists(checkpoint):
         first, losses, sums = load_state(checkpoint, search.optimizer, variables, search.curvatures)
-    start, last = time.perf_counter(), max(1, iterations // 4)
-    with watched(progress, "optimising", "iterations") as shown, shown_live(live, losses) as shows:
+    start, last, refining = time.perf_counter(), max(1, iterations // 4), refined_at(iterations, coarse)
+    with watched(progress, "optimising", "iterations") as shown, LiveSearch(losses) if live else nullcontext() as shows:
         for i in range(first, iterations):
-            if refines(i, iterations, coarse):
+            if i in refining:
                 search.refine()
             losses.append(
                 search.descend(i, {name: float(at(i)) for name, at in rates_at.items()}, check_count("spp", spp_at(i)))
@@ -495,11 +479,7 @@ def pictures_of(scene: Scene, views: Sequence[int], targets: Sequence[Any]) -> d
     return pictures
 
 
-def refines(iteration: int, iterations: int, coarse: Mapping[str, int] | None) -> bool:
-    """True if coarse textures get more texels before an iteration."""
+def refined_at(iterations: int, coarse: Mapping[str, int] | None) -> set[int]:
+    """The iterations before which coarse textures get more texels."""
     levels = max((coarse or {}).values(), default=0)
-    return (
-        levels > 0
-        and iteration > 0
-        and any(iteration == round(iterations * level / (levels + 1)) for level in range(1, levels + 1))
-    )
+    return {round(iterations * level / (levels + 1)) for level in range(1, levels + 1)} - {0}
