@@ -63,6 +63,8 @@ class Emitter(EmitterQuestions):
     """True if it must be nested in a shape; the scene then sets `shape`."""
     in_time: ClassVar[bool] = False
     """True if the light depends on the time of a ray: rays of cameras then have one."""
+    motions: ClassVar[tuple[str, ...]] = ()
+    """The values that say where the light is and where it points to, of those that may have gradients."""
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
@@ -90,6 +92,11 @@ class Emitter(EmitterQuestions):
         flags = self.flags()
         beyond = has_flag(flags, EmitterFlags.Infinite) or has_flag(flags, EmitterFlags.DeltaDirection)
         return bool(beyond) and not self.on_shape
+
+    def is_moving(self) -> bool:
+        """Whether what places the light has gradients, also where these are suspended."""
+        with dr.resume_grad():
+            return any(dr.grad_enabled(getattr(self, name)) for name in self.motions)
 
     # ---- working frames ----------------------------------------------------------------
 

@@ -72,6 +72,7 @@ class EnvironmentMap(InfiniteEmitter, OrientedEmitter):
         "data": ParamFlags.Differentiable | ParamFlags.Discontinuous,
         "texels": HIDDEN,
     }
+    motion_flags = ParamFlags.Differentiable
     m_flags = int(EmitterFlags.Infinite | EmitterFlags.SpatiallyVarying)
     shares_lookup = True
     children = ("distribution", "ray_distribution")
@@ -101,7 +102,7 @@ class EnvironmentMap(InfiniteEmitter, OrientedEmitter):
         callback.put("sampling_weight", self.share, attribute="share")
         callback.put("scale", self.scale, self.values["scale"])
         callback.put("data", self.data, self.tables["data"])
-        callback.put("to_world", self.to_world)
+        callback.put("to_world", self.to_world, self.motion_flags)
 
     def check_parameter(self, name: str, value: Any) -> Any:
         if name == "scale":
@@ -190,6 +191,10 @@ class EnvironmentMap(InfiniteEmitter, OrientedEmitter):
     ) -> tuple[DirectionSample3f, Color3f]:
         local, uv, pdf, weight, radiance = self._sample(self.distribution, sample, active)
         d = self.local_to_world(local)
+        if dr.grad_enabled(self.forward):
+            # As the map turns, directions stay, and what they show changes.
+            d = dr.detach(d)
+            radiance = self._radiance(*self._cell(self.world_to_local(d)), active)
         return self.towards(it, d, uv, pdf, weight), radiance * weight
 
     def pdf_direction(self, it: Observer, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
@@ -214,8 +219,8 @@ class EnvironmentMap(InfiniteEmitter, OrientedEmitter):
         return dr.rcp(math.pi * dr.square(self.radius)), direction
 
     def _pdf(self, distribution: Hierarchical2D, d: Vector3f, active: Bool | bool) -> Float:
-        """The density of `_sample` per solid angle, in the direction `d` (world space) towards the light."""
-        local = self.world_to_local(d)
+        """The density of `_sample` per solid angle, in the direction `d` (world space) towards the light; detached."""
+        local = dr.detach(self.world_to_local(d))
         density = distribution.density(*self._cell(local), active)
         return density * inverse_sine(local) * (1 / SPHERE)
 

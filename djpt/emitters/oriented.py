@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
+import drjit as dr
 import numpy as np
 
 from djpt.core.transforms import ScalarTransform4f, as_transform
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.emitters.base import Emitter
-from djpt.errors import SceneError
+from djpt.errors import ParameterError, SceneError
 from djpt.jit.kernels import as_vector
 from djpt.jit.types import Point2f, Vector3f
 
@@ -20,6 +21,9 @@ if TYPE_CHECKING:
 
 __all__ = ["OnImage", "OrientedEmitter"]
 
+PLACE = ("position", "left", "up", "forward")
+"""The values that kernels read of a `to_world`."""
+
 
 class OrientedEmitter(Emitter):
     """A light that looks along its local +z axis.
@@ -27,9 +31,10 @@ class OrientedEmitter(Emitter):
     Parameters: `to_world` (rotation, reflection, translation; a uniform scale has no effect; default identity).
     """
 
-    values: ClassVar[Mapping[str, ParamFlags]] = dict.fromkeys(
-        ("position", "left", "up", "forward"), ParamFlags.NonDifferentiable
-    )
+    values: ClassVar[Mapping[str, ParamFlags]] = dict.fromkeys(PLACE, ParamFlags.Differentiable)
+    motions: ClassVar[tuple[str, ...]] = PLACE
+    motion_flags: ClassVar[ParamFlags] = ParamFlags.Differentiable | ParamFlags.Discontinuous
+    """The flags of `to_world`: shadows have edges, which move with the light."""
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
@@ -41,18 +46,27 @@ class OrientedEmitter(Emitter):
     def traverse(self, callback: TraversalCallback) -> None:
         callback.put("sampling_weight", self.share, attribute="share")
         for name, flags in self.values.items():
-            if flags.differentiable:
+            if flags.differentiable and name not in PLACE:
                 callback.put(name, getattr(self, name), flags)
         for name in self.children:
             callback.put(name, getattr(self, name))
-        callback.put("to_world", self.to_world)
+        callback.put("to_world", self.to_world, self.motion_flags)
 
     def check_parameter(self, name: str, value: Any) -> Any:
         if name != "to_world":
             return super().check_parameter(name, value)
-        transform = as_transform(value)
+        transform = self._attached(value) if dr.grad_enabled(value) else as_transform(value)
         require_similar(transform)
         return transform
+
+    def _attached(self, value: Any) -> ScalarTransform4f:
+        """A `to_world` with gradients."""
+        if not self.motion_flags.differentiable:
+            raise ParameterError(f"{self.id()}.to_world: gradients with respect to this parameter aren't available")
+        from djpt.core.transforms.lanes import Transform4f
+        from djpt.shapes.silhouettes.moving import AttachedTransform  # few lights move
+
+        return AttachedTransform(Transform4f(value))
 
     def parameters_changed(self, keys: Sequence[str]) -> None:
         if "to_world" in keys:
@@ -66,10 +80,17 @@ class OrientedEmitter(Emitter):
 
     def _place(self) -> None:
         """Compute the light's position and the unit vectors of its axes, which kernels read."""
-        linear = self.to_world.matrix[:3, :3]
-        axes = linear / np.linalg.norm(linear, axis=0)
-        self.position: Any = as_vector(self.to_world.translation())
-        self.left, self.up, self.forward = (as_vector(axis) for axis in axes.T)
+        self.position: Any
+        lanes = getattr(self.to_world, "lanes", None)
+        if lanes is None:
+            linear = self.to_world.matrix[:3, :3]
+            axes = linear / np.linalg.norm(linear, axis=0)
+            self.position = as_vector(self.to_world.translation())
+            self.left, self.up, self.forward = (as_vector(axis) for axis in axes.T)
+            return
+        with dr.resume_grad():
+            x, y, z, self.position = (Vector3f(*(lanes.matrix[i, k] for i in range(3))) for k in range(4))
+            self.left, self.up, self.forward = dr.normalize(x), dr.normalize(y), dr.normalize(z)
 
     # ---- in kernels --------------------------------------------------------------------
 

@@ -36,7 +36,8 @@ class PointLight(DeltaEmitter):
     (texture, W sr^-1, default 1, not negative).
     """
 
-    values: ClassVar[Mapping[str, ParamFlags]] = {"position": ParamFlags.NonDifferentiable}
+    values: ClassVar[Mapping[str, ParamFlags]] = {"position": ParamFlags.Differentiable | ParamFlags.Discontinuous}
+    motions = ("position",)
     m_flags = int(EmitterFlags.DeltaPosition)
     children = ("intensity",)
 

@@ -49,6 +49,7 @@ class Projector(DeltaEmitter, OrientedEmitter):
         **dict.fromkeys(("reach_x", "reach_y"), ParamFlags.NonDifferentiable),
     }
     allowed: ClassVar[Mapping[str, Allowed]] = {"scale": Allowed(0.0)}
+    motion_flags = ParamFlags.NonDifferentiable
     m_flags = int(EmitterFlags.DeltaPosition)
     children = ("irradiance",)
 

@@ -79,6 +79,11 @@ class SpotLight(DeltaEmitter, OrientedEmitter):
 
     # ---- on the host -------------------------------------------------------------------
 
+    @property
+    def edge_width(self) -> float:
+        """The angle in degrees over which the intensity falls off to 0."""
+        return number(self.cutoff_angle) - number(self.beam_width)
+
     def power(self) -> float:
         beam, cutoff = RADIANS * number(self.beam_width), RADIANS * number(self.cutoff_angle)
         # Of the integral of the falloff over the sphere, 2 pi (1 - (sin cutoff - sin beam) / (cutoff - beam)).

@@ -47,6 +47,7 @@ class SunSky(Daylight):
 
     in_any_frame = True
     values: ClassVar[Mapping[str, ParamFlags]] = {**Daylight.values, "sky_fraction": HIDDEN}
+    turbidity_flags = ParamFlags.Differentiable
     children = ("dome", "disc", "directions")
     allowed: ClassVar[Mapping[str, Allowed]] = {**Daylight.allowed, **dict.fromkeys(CLOCK, WITHIN_REACH)}
 

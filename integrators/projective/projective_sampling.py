@@ -12,8 +12,9 @@ from djpt.films.base import FilmFlags
 from djpt.integrators.ad_integrator import RBIntegrator, attached, modes, propagate
 from djpt.integrators.projective.cuts import cuts_on_film
 from djpt.integrators.projective.detail import ProjectiveDetail
+from djpt.integrators.projective.reattach import delta_lights
 from djpt.integrators.projective.receivers import followed, outlined
-from djpt.integrators.projective.shadows import ShadowEdges, delta_lights
+from djpt.integrators.projective.shadows import ShadowEdges
 from djpt.jit.frozen import recording
 from djpt.jit.types import Bool, Color3f, Float, Point2f, TensorXf, UInt32
 from djpt.rendering.gradients.meetings import flat_meshes, meeting_pairs
@@ -233,14 +234,22 @@ class PSIntegrator(RBIntegrator):
                 sampler, _ = self.prepare(camera, CUT_SEED ^ seed, primary, self.aov_names())
                 value, place, found = cuts_on_film(self, scene, camera, sampler)
                 total += self._splatted(camera, sampler, place, value, found)
-            lights = delta_lights(scene) if indirect else []
-            for number, light in enumerate(lights):
-                share = -(-indirect // len(lights))
-                sampler, _ = self.prepare(camera, (SHADOW_SEED + number) ^ seed, share, self.aov_names())
-                value, place = ShadowEdges(scene, light).estimate(self, camera, sampler)
-                total += self._splatted(camera, sampler, place, value, Bool(True))
+        if indirect:
+            total += self._shadow_edges(scene, camera, seed, indirect)
         if within and not self.radiative_backprop:
             total += self._attached_image(scene, camera, seed, within, mode)
+        return total
+
+    def _shadow_edges(self, scene: Scene, sensor: Sensor, seed: Any, spp: int) -> TensorXf:
+        """The image of the edges of shadows in the light of points, and in parallel light."""
+        total = dr.zeros(TensorXf, self._shape(sensor))
+        lights = delta_lights(scene)
+        if not scene.silhouette_shapes() and not sensor.attached_names():
+            lights = [light for light in lights if light.is_moving()]
+        for number, light in enumerate(lights):
+            sampler, _ = self.prepare(sensor, (SHADOW_SEED + number) ^ seed, -(-spp // len(lights)), self.aov_names())
+            value, place = ShadowEdges(scene, light).estimate(self, sensor, sampler)
+            total += self._splatted(sensor, sampler, place, value, Bool(True))
         return total
 
     def _surfaces_meet(self, scene: Scene, sensor: Sensor) -> bool:

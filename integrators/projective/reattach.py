@@ -21,7 +21,7 @@ from djpt.core.records import (
     has_flag,
 )
 from djpt.integrators.projective.weights import solid_angle_to_area_jacobian
-from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point3f, Vector3f
+from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, Vector3f
 from djpt.shapes.silhouettes.base import with_gradient
 
 __all__ = [
@@ -29,6 +29,7 @@ __all__ = [
     "attached_ray",
     "attached_wi",
     "bsdf_weight",
+    "delta_lights",
     "direction_to",
     "has_mirrors",
     "mirrored",
@@ -37,6 +38,11 @@ __all__ = [
 
 GRAZING = 1e-3
 """The cosine below which the solid angle of an area isn't differentiated: a millionth of a ball's picture."""
+
+
+def delta_lights(scene: Any) -> list[Any]:
+    """The lights of a scene that arrive from one direction at each point."""
+    return [e for e in scene.emitters() if has_flag(e.flags(), EmitterFlags.Delta) and not e.on_shape]
 
 
 def relative(value: Any) -> Any:
@@ -91,13 +97,18 @@ def attached_light(
     """The direction of an emitter sample and its weight, attached to the emitter's values and to the point `si`.
 
     As with the samples of a BSDF, the place on the emitter is where the ray there hits it: if the emitter moves, its
-    texture moves past. As `si` moves, that place stays, and the solid angle of an area changes.
+    texture moves past. As `si` moves, that place stays, and the solid angle of an area changes. The light of a point,
+    or parallel light, is followed where it goes.
     """
     flags = ds.emitter.flags()
     surface, infinite = has_flag(flags, EmitterFlags.Surface), has_flag(flags, EmitterFlags.Infinite)
     on_lamp = active & surface
     toward = dr.normalize(dr.detach(ds.p) - si.p)
-    d = Vector3f(with_gradient(ds.d, dr.select(infinite | ~active, ds.d, toward)))
+    if any(light.is_moving() for light in delta_lights(scene)):
+        delta = active & has_flag(flags, EmitterFlags.Delta)
+        followed, _ = ds.emitter.sample_direction(si, Point2f(0), delta)
+        toward, infinite = dr.select(delta, followed.d, toward), infinite & ~delta
+    d = Vector3f(with_gradient(ds.d, dr.select(infinite | ~active, dr.detach(ds.d), toward)))
     arriving = scene.eval_emitter_direction(si, ds.replaced(d=d), active)
     if any(shape.emitter() is not None for _, shape in scene.moving()):
         hit = scene.ray_intersect(dr.detach(si).spawn_ray(dr.detach(ds.d)), active=on_lamp)

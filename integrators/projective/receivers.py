@@ -7,7 +7,7 @@ from typing import Any
 import drjit as dr
 
 from djpt.core.records import EmitterFlags, Ray3f, has_flag
-from djpt.jit.types import Bool, Float, Point2f, UInt32
+from djpt.jit.types import Bool, Float, Point2f, UInt32, Vector3f
 from djpt.scene.intersecting_shapes import between
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
@@ -55,8 +55,22 @@ class Receiver:
         With s the fraction of the way from x to such a point that y lies at, it is (1 - s) <x', n>.
         """
         p = dr.detach(self._si.p)
-        share = dr.select(dr.isfinite(behind), behind / (behind + dr.norm(p - dr.detach(self._ss.p))), 1)
+        share = rest_of_way(self._distance(), behind)
         return dr.select(self._seen, dr.dot(self._si.p - p, dr.detach(self._ss.n)) * share, 0)
+
+    def speed_by_turn(self, d: Vector3f, behind: Float) -> Float:
+        """The speed along n at y of lines from x to points that move: 0, attached to the direction `d` from y to them.
+
+        They are `behind` y at a distance. As such a point z moves, the line does so by s z' at y, with s the fraction
+        of the way from x to z that y lies at; of z' the part across the line counts, which is the distance times d'.
+        """
+        distance = self._distance()
+        speed = dr.dot(d - dr.detach(d), dr.detach(self._ss.n)) * (distance * rest_of_way(distance, behind))
+        return dr.select(self._seen, speed, 0)
+
+    def _distance(self) -> Float:
+        """The distance between x and y."""
+        return dr.norm(dr.detach(self._si.p) - dr.detach(self._ss.p))
 
     def moves(self) -> Bool:
         """Whether x lies on a shape that moves."""
@@ -65,6 +79,11 @@ class Receiver:
             if shape.parameters_grad_enabled():
                 found = found | (self._si.shape == shape)
         return found & self._seen
+
+
+def rest_of_way(passed: Float, behind: Float) -> Float:
+    """The fraction of a way that is left after a part of it; 1 of an infinite one."""
+    return dr.select(dr.isfinite(behind), behind / (behind + passed), 1)
 
 
 def outlined(scene: Any, sensor: Any) -> list[Any]:

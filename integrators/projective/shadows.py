@@ -10,14 +10,9 @@ from djpt.core.records import SHADOW_EPSILON, EmitterFlags, Interaction3f, has_f
 from djpt.integrators.projective.detail import FAR
 from djpt.integrators.projective.outlines import Outlines
 from djpt.integrators.projective.receivers import Receiver
-from djpt.jit.types import Color3f, Point2f, Point3f
+from djpt.jit.types import Color3f, Point2f, Point3f, UInt32
 
-__all__ = ["ShadowEdges", "delta_lights"]
-
-
-def delta_lights(scene: Any) -> list[Any]:
-    """The lights of a scene that arrive from one direction at each point."""
-    return [e for e in scene.emitters() if has_flag(e.flags(), EmitterFlags.Delta) and not e.on_shape]
+__all__ = ["ShadowEdges"]
 
 
 class ShadowEdges:
@@ -25,15 +20,20 @@ class ShadowEdges:
 
     Of the directions in which a silhouette is looked at one is left, that of the light. With y on the outline, n its
     normal, t its tangent, d the direction to the light, which arrives at y with the irradiance E, x the point in shadow
-    behind, from which the importance W arrives, and s the fraction of the way from x to the light that y lies at,
+    behind, from which the importance W arrives, s the fraction of the way from x to the light that y lies at, and z the
+    place of the light,
 
-        dI = -W E <y' - (1 - s) x', n> length(t x d) dl,    s = 0 in parallel light.
+        dI = -W E <y' - (1 - s) x' - s z', n> length(t x d) dl,    s = 0 and s z' = abs(x - y) d' in parallel light.
     """
 
     def __init__(self, scene: Any, light: Any) -> None:
-        """Look at the shapes that move from the place of the light."""
-        self._scene, self._light = scene, light
-        self._outlines = Outlines(scene.silhouettes.outlined(), seen_from(scene, light))
+        """Look at the shapes from the place of the light."""
+        self._scene, self._moves = scene, light.is_moving()
+        # As the view of the scene reads it, whose values may be attached.
+        self._light = scene.lights.at(UInt32(scene.emitters().index(light)))
+        with dr.suspend_grad():
+            infinite = has_flag(light.flags(), EmitterFlags.Infinite)
+            self._outlines = Outlines(scene.silhouettes.outlined(), seen_from(scene, self._light, infinite))
 
     def estimate(self, integrator: Any, sensor: Any, sampler: Any) -> tuple[Color3f, Point2f]:
         """The derivative of the image by random points of the outlines, attached, and their places on the film."""
@@ -55,15 +55,16 @@ class ShadowEdges:
             across = dr.norm(dr.cross(ss.d, ss.silhouette_d))
             weight = dr.select(active, importance * arriving * (across * dr.rcp(ss.pdf)), 0)
         receiver = Receiver(integrator, scene, sensor, ss, place, edges, viewer, active)
-        speed = dr.dot(self._outlines.follow(ss, active) - ss.p, ss.n)
-        return Color3f(weight) * dr.select(active, receiver.speed_at_edge(ds.dist) - speed, 0), place
+        speed = receiver.speed_at_edge(ds.dist) - dr.dot(self._outlines.follow(ss, active) - ss.p, ss.n)
+        if self._moves:
+            speed += receiver.speed_by_turn(self._light.sample_direction(it, Point2f(0), active)[0].d, ds.dist)
+        return Color3f(weight) * dr.select(active, speed, 0), place
 
 
-def seen_from(scene: Any, light: Any) -> Point3f:
+def seen_from(scene: Any, light: Any, infinite: bool) -> Point3f:
     """The place of a light; of one at infinity a point far away."""
     center, radius = scene.bounding_sphere()
     it = dr.zeros(Interaction3f)
     it.p = Point3f(*(float(c) for c in center))
     ds, _ = light.sample_direction(it, Point2f(0))
-    infinite = has_flag(light.flags(), EmitterFlags.Infinite)
     return Point3f(it.p + ds.d * (FAR * float(radius))) if infinite else Point3f(ds.p)

@@ -237,6 +237,70 @@ def test_integrators_without_silhouettes_are_refused() -> None:
         djpt.ad.integrators.prb.PRBIntegrator(djpt.Properties("prb", "prb", {})).render_forward(scene, None, spp=1)
 
 
+MOVING_LIGHTS: dict[str, tuple[dict[str, Any], str, str]] = {
+    "an integrator": ({}, "path", "the integrator 'Path' follows no silhouettes"),
+    "paths from lights": ({"light": {"type": "envmap", "data": np.ones((4, 4, 3), np.float32)}}, "bdpt", "begin|paths"),
+    "a sharp spot": (
+        {"light": {"type": "spot", "beam_width": 20.0, "cutoff_angle": 20.0}},
+        "direct_projective",
+        "the beam of 'light' .spot. ends within",
+    ),
+    "squares": (
+        {"light": {"type": "spot", "texture": {"type": "checkerboard"}}},
+        "direct_projective",
+        "'light' has the texture",
+    ),
+    "a cube": (
+        {"box": {"type": "cube", "to_world": T().translate([3, 0, 0])}},
+        "direct_projective",
+        r"'box' .cube. may hide 'light' .point., which moves",
+    ),
+    "a mirror": ({"other": MIRROR_BEHIND}, "prb_projective", "'other' has the BSDF"),
+    "bumps": (
+        {"moving": ball({"type": "bumpmap", "t": BUMPS, "nested": PLASTER})},
+        "prb_projective",
+        "'moving' has the BSDF.*normals are bent",
+    ),
+}
+
+
+def with_moving_light(**nodes: Any) -> Any:
+    """The scene, whose light has gradients by its place."""
+    scene = djpt.load_dict(room(**{"lamp": None, "light": {"type": "point", "position": [1, 1, 5]}, **nodes}))
+    params, theta = djpt.traverse(scene), Float(0)
+    dr.enable_grad(theta)
+    if "light.position" in params:
+        params["light.position"] = djpt.Point3f(1, 1, 5) + djpt.Vector3f(theta, 0, 0)
+    else:
+        params["light.to_world"] = djpt.Transform4f().rotate([0, 1, 0], theta)
+    params.update()
+    return scene
+
+
+@pytest.mark.parametrize("name", MOVING_LIGHTS)
+def test_lights_that_move_are_refused(name: str) -> None:
+    nodes, kind, message = MOVING_LIGHTS[name]
+    how = djpt.load_dict({"type": kind, "max_depth": 2})
+    with pytest.raises(RenderError, match=f"^'light' moves .*{message}"):
+        djpt.render(with_moving_light(**nodes), integrator=how, spp=1)
+
+
+@pytest.mark.parametrize("kind", ["path", "prb_projective"])
+def test_skies_that_turn_are_not_refused(kind: str) -> None:
+    """Nothing has an edge that moves: neither mirrors nor boxes matter."""
+    sky = {"type": "envmap", "data": np.random.default_rng(0).random((4, 4, 3), np.float32)}
+    scene = with_moving_light(light=sky, other=MIRROR_BEHIND, box={"type": "cube", "to_world": T().scale(0.1)})
+    assert dr.grad_enabled(djpt.render(scene, integrator=djpt.load_dict({"type": kind, "max_depth": 3}), spp=1))
+
+
+@pytest.mark.parametrize("plugin", ["sunsky", "timed_sunsky", "projector"])
+def test_lights_that_do_not_turn(plugin: str) -> None:
+    params, theta = djpt.traverse(djpt.load_dict({"type": plugin})), Float(0)
+    dr.enable_grad(theta)
+    with pytest.raises(DjptError, match="to_world: gradients with respect to this parameter aren't available"):
+        params["to_world"] = djpt.Transform4f().rotate([0, 0, 1], theta)
+
+
 @pytest.mark.parametrize("sensor", ["path", "prb", "direct_projective"])
 def test_the_direction_of_the_sun(sensor: str) -> None:
     def sunny(sun_scale: float) -> Any:

@@ -111,7 +111,8 @@ class LightSampling:
         Lanes that aren't `active` need no sample, those that aren't `weighted` no density, and those `inside` of a
         medium, at no surface, no light. A lone environment is looked up once for both.
         """
-        if len(self.emitters) == 1 and self.emitters.plugins[0].shares_lookup:
+        lone = self.emitters.plugins[0] if len(self.emitters) == 1 else None
+        if lone is not None and lone.shares_lookup and not lone.is_moving():
             environment = self.emitters.groups[0].at(UInt32(0), self.lookup)
             radiance, pdf, weight, d = environment.eval_or_sample(si, sample, active)
             ds = DirectionSample3f.of(

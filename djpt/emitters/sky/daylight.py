@@ -93,9 +93,13 @@ class Daylight(InfiniteEmitter, OrientedEmitter):
     """
 
     values: ClassVar[Mapping[str, ParamFlags]] = {
-        **OrientedEmitter.values,
-        **dict.fromkeys(("center", "radius", "sky_scale", "sun_scale"), HIDDEN),
+        **dict.fromkeys((*OrientedEmitter.values, "center", "radius"), HIDDEN),
+        **dict.fromkeys(("sky_scale", "sun_scale"), ParamFlags.Differentiable),
     }
+    motions: ClassVar[tuple[str, ...]] = ()
+    motion_flags = HIDDEN
+    turbidity_flags: ClassVar[ParamFlags] = HIDDEN
+    """The flags of `turbidity`."""
     m_flags = int(EmitterFlags.Infinite | EmitterFlags.SpatiallyVarying)
     children: ClassVar[tuple[str, ...]] = ("disc",)
     allowed: ClassVar[Mapping[str, Allowed]] = {
@@ -120,9 +124,10 @@ class Daylight(InfiniteEmitter, OrientedEmitter):
 
     def traverse(self, callback: TraversalCallback) -> None:
         callback.put("sampling_weight", self.share, attribute="share")
-        callback.put("to_world", self.to_world)
-        for name in ("turbidity", "sky_scale", "sun_scale"):
-            callback.put(name, getattr(self, name), HIDDEN)
+        callback.put("to_world", self.to_world, self.motion_flags)
+        callback.put("turbidity", self.turbidity, self.turbidity_flags)
+        for name in ("sky_scale", "sun_scale"):
+            callback.put(name, getattr(self, name), self.values[name])
         callback.put("albedo", self.albedo)
 
     # ---- on the host -------------------------------------------------------------------

@@ -159,7 +159,7 @@ class SunDisc(Plugin):
         **dict.fromkeys(("direction", "color"), ParamFlags.Differentiable),
         **dict.fromkeys(("height", "brightness"), HIDDEN),
     }
-    tables: ClassVar[Mapping[str, ParamFlags]] = {"polynomials": HIDDEN}
+    tables: ClassVar[Mapping[str, ParamFlags]] = {"polynomials": ParamFlags.Differentiable}
     children = ()
     statics = ("darkening",)
 
@@ -194,7 +194,7 @@ class SunDisc(Plugin):
         if self.darkening:
             numbers = table("sun").at(turbidity - 1).numbers
             dr.make_opaque(numbers)
-            self.polynomials = TensorXf(dr.detach(numbers), (PARTS, PACKETS, 4))
+            self.polynomials = TensorXf(numbers, (PARTS, PACKETS, 4))
 
     # ---- in kernels --------------------------------------------------------------------
 

@@ -30,6 +30,9 @@ if TYPE_CHECKING:
 __all__ = ["CASES", "Case", "Rendering", "require_proven"]
 
 
+NARROW = 0.01
+"""The angle in degrees within which light ends at a cone, at least: the edge of what is sharper isn't found."""
+
 DISTANT = 1e6
 """How far away a light at infinity is taken to be."""
 
@@ -46,6 +49,8 @@ class Rendering:
     """All shapes that rays can hit; an instance stands for its group."""
     camera: Sensor | None
     """The sensor, if its place has gradients."""
+    lights: tuple[Any, ...]
+    """The lights whose place has gradients, and whose shadows have edges: points, and parallel light."""
 
     @staticmethod
     def of(scene: Scene, integrator: Integrator, sensor: Sensor | None = None) -> Rendering:
@@ -53,15 +58,21 @@ class Rendering:
         shapes = scene.shapes()
         moving = tuple(s for s in shapes if s.parameters_grad_enabled() and not s.is_ellipsoids())
         seen = tuple(s for s in shapes if s.class_name() != "ShapeGroup")
-        return Rendering(scene, integrator, moving, seen, sensor if sensor and sensor.attached_names() else None)
+        camera = sensor if sensor and sensor.attached_names() else None
+        lights = tuple(e for e in scene.emitters() if e.is_moving() and has_flag(e.flags(), EmitterFlags.Delta))
+        return Rendering(scene, integrator, moving, seen, camera, lights)
+
+    def movers(self) -> tuple[Any, ...]:
+        """What moves with gradients."""
+        return (*self.moving, *self.lights, *([] if self.camera is None else [self.camera]))
 
     def passes_by(self) -> tuple[Any, ...]:
         """The shapes that may change their place in the picture: those that move, or all if the camera does."""
         return self.moving if self.camera is None else self.seen
 
     def bsdfs(self, *, of_moving: bool = False) -> Iterator[tuple[Any, Any]]:
-        """Each shape, of those that move or of all, with its BSDF."""
-        for shape in self.passes_by() if of_moving else self.scene.geometry.contents.shapes:
+        """Each shape, of those that move or are lit by lights that do, or of all, with its BSDF."""
+        for shape in self.passes_by() if of_moving and not self.lights else self.scene.geometry.contents.shapes:
             if shape.bsdf() is not None:
                 yield shape, shape.bsdf()
 
@@ -105,13 +116,15 @@ def of_lobes(rendering: Rendering, kind: int) -> Iterator[str]:
 
 def reflections(rendering: Rendering) -> Iterator[str]:
     """Smooth surfaces, unless there is nothing else: a single convex shape doesn't see itself."""
-    if not alone(rendering):
+    if rendering.movers() and not alone(rendering):
         yield from of_lobes(rendering, BSDFFlags.DeltaReflection | BSDFFlags.DeltaTransmission)
 
 
 def layers(rendering: Rendering) -> Iterator[str]:
     """Surfaces that light passes straight through, unless there is nothing but a ball or a plane one."""
-    if not (alone(rendering) and (is_sphere(rendering.seen[0]) or rendering.seen[0].plane() is not None)):
+    if rendering.movers() and not (
+        alone(rendering) and (is_sphere(rendering.seen[0]) or rendering.seen[0].plane() is not None)
+    ):
         yield from of_lobes(rendering, BSDFFlags.Null)
 
 
@@ -141,11 +154,11 @@ def bends_normals(bsdf: Any) -> bool:
 
 def jumping_textures(rendering: Rendering) -> Iterator[str]:
     """Textures of moving shapes whose colour jumps."""
-    for shape in rendering.passes_by():
-        for owner in (shape.bsdf(), shape.emitter()):
-            for texture in () if owner is None else textures_in(owner):
-                if name_of(type(texture)) == "checkerboard" or getattr(texture, "filter_type", "") == "nearest":
-                    yield f"'{shape.id()}' has the texture {named(texture)}"
+    owners = [(s, owner) for s in rendering.passes_by() for owner in (s.bsdf(), s.emitter()) if owner is not None]
+    for thing, owner in (*owners, *((light, light) for light in rendering.lights)):
+        for texture in textures_in(owner):
+            if name_of(type(texture)) == "checkerboard" or getattr(texture, "filter_type", "") == "nearest":
+                yield f"'{thing.id()}' has the texture {named(texture)}"
 
 
 def textures_in(plugin: Any) -> Iterator[Any]:
@@ -160,9 +173,20 @@ def textures_in(plugin: Any) -> Iterator[Any]:
 
 def bounded_beams(rendering: Rendering) -> Iterator[str]:
     """Lights whose beams have sharp sides."""
-    for emitter in rendering.emitters(EmitterFlags.Delta):
+    others_move = rendering.moving or rendering.camera is not None
+    for emitter in rendering.emitters(EmitterFlags.Delta) if others_move else rendering.lights:
+        narrow = getattr(emitter, "edge_width", NARROW)
         if emitter.on_shape or name_of(type(emitter)) == "projector":
             yield f"{named(emitter)} shines"
+        elif narrow < NARROW and not recording():
+            yield f"the beam of {named(emitter)} ends within {narrow:.2g} degrees"
+
+
+def light_paths(rendering: Rendering) -> Iterator[str]:
+    """Lights that turn, seen by an integrator whose paths begin there, or that has samples of its own."""
+    for emitter in rendering.scene.emitters():
+        if emitter.is_moving() and rendering.integrator.path_tracer.starts_at_lights:
+            yield f"the integrator is '{type(rendering.integrator).__name__}', and {named(emitter)} turns"
 
 
 def direct_light_only(integrator: Any) -> bool:
@@ -188,10 +212,12 @@ def unknown_outlines(rendering: Rendering) -> Iterator[str]:
         if rendering.camera is not None:
             yield f"'{shape.id()}' ({name_of(type(shape))}) may be seen by the camera, which moves"
         # A convex room has none that is seen from within.
-        if all(encloses(shape, moving) for moving in rendering.moving):
-            continue
-        for light in hidden_by(shape, rendering):
-            yield f"'{shape.id()}' ({name_of(type(shape))}) may hide {light} from a shape that moves"
+        if not all(encloses(shape, moving) for moving in rendering.moving):
+            for light in hidden_by(shape, rendering):
+                yield f"'{shape.id()}' ({name_of(type(shape))}) may hide {light} from a shape that moves"
+        if not alone(rendering) and not all(s is shape or encloses(shape, s) for s in rendering.seen):
+            for light in rendering.lights:
+                yield f"'{shape.id()}' ({name_of(type(shape))}) may hide {named(light)}, which moves"
 
 
 def hidden_by(shape: Any, rendering: Rendering) -> Iterator[str]:
@@ -224,7 +250,7 @@ def shifted(box: tuple[Any, Any], by: Any) -> tuple[Any, Any]:
 
 def without_silhouettes(rendering: Rendering) -> Iterator[str]:
     """An integrator that follows no silhouettes."""
-    if not rendering.integrator.follows_silhouettes:
+    if rendering.movers() and not rendering.integrator.follows_silhouettes:
         yield f"the integrator '{type(rendering.integrator).__name__}' follows no silhouettes"
 
 
@@ -260,10 +286,16 @@ CASES: tuple[Case, ...] = (
         jumping_textures,
     ),
     Case(
-        "a `projector` or `directionalarea` light",
+        "a `projector` or `directionalarea` light, or a `spot` with a sharp edge",
         "the sides of its beam aren't followed",
-        "use a 'spot' light with a texture, or a small area light",
+        "use a 'spot' light whose 'beam_width' is less than its 'cutoff_angle', or a small area light",
         bounded_beams,
+    ),
+    Case(
+        "a light that moves or turns, rendered by paths that begin at lights",
+        "how these paths move isn't followed",
+        "render with 'path', 'volpath' or 'prb_projective'",
+        light_paths,
     ),
     Case(
         "a moving shape that cuts or touches another one, if one of them shines or paths have more than two edges",
@@ -280,14 +312,15 @@ CASES: tuple[Case, ...] = (
         needs_numbers=True,
     ),
     Case(
-        "a cube, an instance or another shape without known silhouettes, if it may hide light from a moving one",
+        "a cube, an instance or another shape without known silhouettes, if it may hide light from a moving one, or "
+        "that of a light that moves",
         "its outlines and the edges of its shadows aren't followed",
         "use a mesh",
         unknown_outlines,
         needs_numbers=True,
     ),
 )
-"""The cases of shapes and cameras that move, those that are found fastest first."""
+"""The cases of shapes, lights and cameras that move, those that are found fastest first."""
 
 
 def require_proven(scene: Scene, integrator: Integrator, sensor: Sensor | None = None) -> None:
@@ -309,9 +342,10 @@ def require_proven(scene: Scene, integrator: Integrator, sensor: Sensor | None =
                 "set 'sun_scale' to 0, for the sky alone",
             )
     rendering = Rendering.of(scene, integrator, sensor)
-    if not rendering.moving and rendering.camera is None:
+    movers = rendering.movers() or [emitter for emitter in scene.emitters() if emitter.is_moving()]
+    if not movers:
         return
-    what = f"'{(rendering.camera or rendering.moving[0]).id()}' moves with parameters that have gradients"
+    what = f"'{movers[-1].id()}' moves with parameters that have gradients"
     for case in CASES:
         if case.needs_numbers and recording():
             continue

@@ -141,6 +141,8 @@ def normalized(scene: Scene, sensor: Sensor) -> tuple[Scene, Sensor]:
 
 def normalized_scene(scene: Scene) -> tuple[PluginCopies, Scene] | None:
     """The scene in its working frame, and the copies of its plugins; None if its own coordinates will do, or must."""
+    if any(emitter.is_moving() for emitter in scene.emitters()):
+        return None  # a place in another frame has no gradients
     if scene.normalized == ():
         if recording():
             return None  # what is made now belongs to the recorded function
