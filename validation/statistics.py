@@ -42,9 +42,12 @@ __all__ = [
     "Batches",
     "TestResult",
     "block_test",
+    "deviate",
+    "limit_of",
     "mean_test",
     "noise_ratio",
     "pixel_test",
+    "pooled_dof",
     "sidak",
     "weighted_test",
     "z_map",
@@ -149,29 +152,23 @@ class Batches:
         of estimates of variance components*) and so a sharper test from few batches.
         """
         self._need_two()
-        if not independent_pixels:
-            sizes = block_sizes(self.shape, self.cell)
-            side = self.block // self.cell
-            whole = block_sizes(self.shape, self.block)
-            stack = np.stack([added(cells * sizes, side) / whole for cells in self._cells])
-            dof = np.full(stack.shape[1:], self.count - 1.0)
-            return Moments(stack.mean(axis=0), stack.var(axis=0, ddof=1), dof, self.count)
-        return self._added_up(self.block)
+        if independent_pixels:
+            return self._added_up(self.block)
+        sizes, whole = block_sizes(self.shape, self.cell), block_sizes(self.shape, self.block)
+        side = self.block // self.cell
+        return moments_of([added(cells * sizes, side) / whole for cells in self._cells])
 
     def _added_up(self, side: int) -> Moments:
         """Moments of the averages over blocks of independent pixels."""
-        return _pooled(self.pixels(), lambda values: added(values, side), block_sizes(self.shape, side))
+        pixels, size = self.pixels(), block_sizes(self.shape, side)
+        total = added(pixels.variance, side)
+        dof = pooled_dof(total, added(pixels.variance**2 / pixels.dof, side), added(pixels.dof, side))
+        return Moments(added(pixels.mean, side) / size, total / size**2, dof, self.count)
 
     def image(self, independent_pixels: bool = False) -> Moments:
         """Moments of the whole image's average per channel, (C,); see `blocks`."""
-        self._need_two()
-        height, width, channels = self._mean.shape
-        if independent_pixels:
-            return _pooled(self.pixels(), lambda values: values.sum(axis=(0, 1)), np.float64(height * width))
-        weight = block_sizes(self._mean.shape, self.cell) / (height * width)
-        stack = np.stack([(cells * weight).sum(axis=(0, 1)) for cells in self._cells])
-        dof = np.full(channels, self.count - 1.0)
-        return Moments(stack.mean(axis=0), stack.var(axis=0, ddof=1), dof, self.count)
+        height, width, _ = self.shape
+        return self.weighted(block_sizes(self.shape, self.cell) / (height * width), independent_pixels)
 
     def noise(self) -> Moments:
         """Moments of the averages of cells as if pixels were independent, which need not be, (rows, columns, C)."""
@@ -181,17 +178,15 @@ class Batches:
     def weighted(self, weights: Array, independent_pixels: bool = False) -> Moments:
         """Moments of a weighted mean of the averages of cells per channel, (C,); see `blocks`.
 
-        `weights`: of each cell and channel, (rows, columns, C), with the sum 1 for each channel.
+        `weights`: of each cell and channel, (rows, columns, C or 1), with the sum 1 for each channel.
         """
         self._need_two()
         if not independent_pixels:
-            sums = np.stack([(cells * weights).sum(axis=(0, 1)) for cells in self._cells])
-            dof = np.full(sums.shape[1], self.count - 1.0)
-            return Moments(sums.mean(axis=0), sums.var(axis=0, ddof=1), dof, self.count)
+            return moments_of([(cells * weights).sum(axis=(0, 1)) for cells in self._cells])
         cells = self.noise()
         shares = cells.variance * weights**2
         total, squares = shares.sum(axis=(0, 1)), (shares**2 / cells.dof).sum(axis=(0, 1))
-        dof = np.where(squares > 0, total**2 / np.where(squares > 0, squares, 1), cells.dof.sum(axis=(0, 1)))
+        dof = pooled_dof(total, squares, cells.dof.sum(axis=(0, 1)))
         return Moments((cells.mean * weights).sum(axis=(0, 1)), total, dof, self.count)
 
     def _need_two(self) -> None:
@@ -199,13 +194,19 @@ class Batches:
             raise ComparisonError(f"a variance needs at least 2 batches, found {self.count}")
 
 
-def _pooled(pixels: Moments, add_up: Any, size: Any) -> Moments:
-    """The moments of averages of independent pixels: `add_up` sums an array (H, W, C) over groups of `size` pixels."""
-    total = add_up(pixels.variance)
-    squares = add_up(pixels.variance**2 / pixels.dof)
-    one = add_up(pixels.dof)  # where there is no noise any number of degrees of freedom will do
-    dof = np.where(squares > 0, total**2 / np.where(squares > 0, squares, 1), one)
-    return Moments(add_up(pixels.mean) / size, total / size**2, dof, pixels.count)
+def moments_of(averages: list[Array]) -> Moments:
+    """Moments of the averages of batches, from their spread."""
+    stack = np.stack(averages)
+    dof = np.full(stack.shape[1:], len(stack) - 1.0)
+    return Moments(stack.mean(axis=0), stack.var(axis=0, ddof=1), dof, len(stack))
+
+
+def pooled_dof(total: Any, squares: Any, noiseless: Any) -> Array:
+    """The degrees of freedom of a sum of variances v: (sum of v)^2 / (sum of v^2 / dof), by Satterthwaite.
+
+    `total` and `squares` are these sums. Where there is no noise any number will do: `noiseless`.
+    """
+    return np.asarray(np.where(squares > 0, total**2 / np.where(squares > 0, squares, 1), noiseless))
 
 
 def added(image: Array, side: int) -> Array:
@@ -408,7 +409,7 @@ def _deviates(a: Moments, b: Moments, equal_variance: bool, single: float) -> tu
     Then Welch's test, which estimates two variances, must reject as well. Without `equal_variance` Welch's test
     alone decides.
     """
-    normal, student = _scipy().stats.norm, _scipy().stats.t
+    student = _scipy().stats.t
     difference = a.mean - b.mean
     rounding = RESOLUTION * np.maximum(np.abs(a.mean), np.abs(b.mean))
     variances = [_student(a, b)] if equal_variance else []
@@ -420,10 +421,21 @@ def _deviates(a: Moments, b: Moments, equal_variance: bool, single: float) -> tu
     for variance, dof in variances:
         error = np.sqrt(variance + rounding**2)
         t = np.abs(np.divide(difference, error, out=np.zeros_like(difference), where=error > 0))
-        # A normal deviate is never larger than the t with the same p; this also replaces the infinity of p = 0.
-        size = np.minimum(size, np.minimum(normal.isf(student.sf(t, dof)), t))
+        size = np.minimum(size, deviate(t, dof))
         seen = max(seen, float(np.median(student.isf(single / 2, dof) * error)))
     return size, seen
+
+
+def deviate(t: Any, dof: Any) -> Any:
+    """The normal deviates with the same p-values as values t >= 0 of Student's distribution."""
+    stats = _scipy().stats
+    # A normal deviate is never larger than the t with the same p; this also replaces the infinity of p = 0.
+    return np.minimum(stats.norm.isf(stats.t.sf(t, dof)), t)
+
+
+def limit_of(significance: float, count: int) -> float:
+    """The largest absolute deviate that passes in each of `count` tests, at Sidak's level."""
+    return float(_scipy().stats.norm.isf(sidak(significance, count) / 2))
 
 
 def _student(a: Moments, b: Moments) -> tuple[Array, Array]:
@@ -436,7 +448,7 @@ def _welch(a: Moments, b: Moments) -> tuple[Array, Array]:
     """The variance of the difference of the means from two variances (Welch 1947), and Satterthwaite's dof."""
     va, vb = a.variance / a.count, b.variance / b.count
     spread = va**2 / a.dof + vb**2 / b.dof
-    return va + vb, np.where(spread > 0, (va + vb) ** 2 / np.where(spread > 0, spread, 1), a.dof + b.dof)
+    return va + vb, pooled_dof(va + vb, spread, a.dof + b.dof)
 
 
 def _scipy() -> Any:

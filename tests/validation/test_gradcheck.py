@@ -13,7 +13,8 @@ from djpt.apps.cli.gradcheck import SIDE as SIDE_OF_HELP
 from djpt.errors import ParameterError
 from djpt.scenes.overrides import override, reduced
 from djpt.validation.gradcheck import check_gradient
-from djpt.validation.gradcheck.check import SIDE, Sample, compared, paired
+from djpt.validation.gradcheck.check import SIDE, judged
+from djpt.validation.statistics import limit_of
 from tests.kit.commands import run
 from tests.kit.faulty import FAULTS
 
@@ -156,13 +157,15 @@ def test_texels_at_the_ends_of_their_range(data: str) -> None:
 def test_verdicts() -> None:
     rng = np.random.default_rng(0)
     noise = rng.normal(size=20)
-    ours = Sample(tuple(1 + noise))
-    assert paired("same", ours, Sample(tuple(1.001 + noise)), 0.0, 1e-3, 1).passed  # within rounding
-    assert not paired("other", ours, Sample(tuple(1.1 + noise)), 0.0, 1e-3, 1).passed
-    assert paired("other", ours, Sample(tuple(1.1 + noise)), 0.2, 1e-3, 1).passed
-    assert compared("independent", ours, Sample(tuple(1 + rng.normal(size=20))), 0.0, 1e-3, 1).passed
-    assert not compared("independent", ours, Sample(tuple(9 + rng.normal(size=20))), 0.0, 1e-3, 1).passed
-    assert not paired("not a number", Sample((np.nan,) * 4), ours.__class__((1.0,) * 4), 0.0, 1e-3, 1).passed
+    ours, limit = 1 + noise, limit_of(1e-3, 1)
+    assert judged("same", ours, 1.001 + noise, limit).passed  # within rounding
+    assert not judged("other", ours, 1.1 + noise, limit).passed
+    assert judged("other", ours, 1.1 + noise, limit, 0.2).passed
+    assert judged("independent", ours, 1 + rng.normal(size=20), limit, paired=False).passed
+    assert not judged("independent", ours, 9 + rng.normal(size=20), limit, paired=False).passed
+    assert not judged("not a number", np.full(4, np.nan), np.ones(4), limit).passed
+    assert judged("without noise", np.ones(4), np.ones(4), limit).passed
+    assert not judged("without noise", np.ones(4), np.full(4, 2.0), limit).passed
 
 
 def test_what_cant_be_checked() -> None:

@@ -13,7 +13,7 @@ from djpt.description.loader import load_dict
 from djpt.description.registry import registered
 from djpt.rendering.render import render
 from djpt.validation.closed_forms.cases import ClosedForm
-from djpt.validation.statistics import sidak
+from djpt.validation.statistics import deviate, limit_of
 
 __all__ = ["Outcome", "validate"]
 
@@ -77,8 +77,6 @@ def validate(
         significance: The probability that a right integrator fails in any of the comparisons of this call.
         settings: Parameters of the integrators, such as ``rr_depth``; without them nothing ends paths by chance.
     """
-    from scipy.stats import norm, t
-
     known = registered("integrator")
     pairs = [
         (case, name)
@@ -86,14 +84,14 @@ def validate(
         for name in case.integrators
         if name in known and (integrators is None or name in integrators)
     ]
-    critical = float(norm.isf(sidak(significance, max(1, len(pairs))) / 2))
+    critical = limit_of(significance, max(1, len(pairs)))
     for case, name in pairs:
         means = [float(np.mean(image)) for image in images(case, name, spp, seed, settings)]
         found, error = float(np.mean(means)), float(np.std(means, ddof=1) / np.sqrt(BATCHES))
         difference = found - case.radiance
         beyond = max(0.0, abs(difference) - case.exact * case.radiance)
         # As a normal deviate: the standard error comes from few batches.
-        z = min(float(norm.isf(t.sf(beyond / error, BATCHES - 1))), beyond / error) if error > 0 else np.inf
+        z = float(deviate(beyond / error, BATCHES - 1)) if error > 0 else np.inf
         z = 0.0 if beyond == 0 else float(np.copysign(z, difference))
         yield Outcome(case.name, name, case.radiance, found, error, z, critical)
 
@@ -103,7 +101,7 @@ def images(
 ) -> Iterator[npt.NDArray[np.float32]]:
     """Independent images of a closed form."""
     scene = load_dict(case.scene())
-    limit = {} if name in ("direct",) else {"max_depth": case.depth}
+    limit = {} if name == "direct" else {"max_depth": case.depth}
     if settings is None:
         settings = WITHOUT_ROULETTE.get(name, {"rr_depth": case.depth + 1})
     integrator = load_dict({"type": name, **settings, **limit})

@@ -18,32 +18,15 @@ from djpt.scenes.overrides import described, override, reduced
 from djpt.validation.gradcheck.losses import Loss, MitsubaLoss, loss_of
 from djpt.validation.metrics import ComparisonError
 from djpt.validation.report import Bytes, Pictured, difference_picture
-from djpt.validation.statistics import sidak
+from djpt.validation.statistics import deviate, limit_of, pooled_dof
 
-__all__ = ["Direction", "GradientCheck", "Sample", "Verdict", "check_gradient", "compared", "paired"]
+__all__ = ["Direction", "GradientCheck", "Verdict", "check_gradient", "judged"]
 
 TOLERANCE = 2e-3
 """The relative difference that counts as rounding and truncation."""
 
 
-@dataclass(frozen=True)
-class Sample:
-    """Independent values of one estimate, one for each seed."""
-
-    values: tuple[float, ...]
-
-    @property
-    def mean(self) -> float:
-        """The mean of the values."""
-        return float(np.mean(self.values))
-
-    @property
-    def error(self) -> float:
-        """The standard error of the mean."""
-        return float(np.std(self.values, ddof=1) / math.sqrt(len(self.values)))
-
-    def __str__(self) -> str:
-        return f"{self.mean:+.5g} +- {self.error:.1g}"
+Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -74,82 +57,53 @@ class Verdict:
         return f"{self.what}: {self.found:+.5g} and {self.expected:+.5g}, z {self.z:+.2f}, {verdict}"
 
 
-def paired(what: str, ours: Sample, theirs: Sample, slack: float, significance: float, tests: int) -> Verdict:
-    """Compare estimates of the same seeds, whose differences have less noise than either: Student's paired test."""
-    differences = Sample(tuple(a - b for a, b in zip(ours.values, theirs.values, strict=True)))
-    return judged(
-        what,
-        ours.mean,
-        theirs.mean,
-        differences.mean,
-        differences.error,
-        len(ours.values) - 1,
-        slack,
-        significance,
-        tests,
-    )
-
-
-def compared(what: str, ours: Sample, theirs: Sample, slack: float, significance: float, tests: int) -> Verdict:
-    """Compare independent estimates: Welch's test."""
-    variances = ours.error**2, theirs.error**2
-    dofs = len(ours.values) - 1, len(theirs.values) - 1
-    spread = sum(v * v / dof for v, dof in zip(variances, dofs, strict=True))
-    dof = sum(variances) ** 2 / spread if spread > 0 else sum(dofs)
-    difference = ours.mean - theirs.mean
-    return judged(what, ours.mean, theirs.mean, difference, math.sqrt(sum(variances)), dof, slack, significance, tests)
-
-
 def judged(
-    what: str,
-    found: float,
-    expected: float,
-    difference: float,
-    error: float,
-    dof: float,
-    slack: float,
-    significance: float,
-    tests: int,
+    what: str, ours: Floats, theirs: Floats, critical: float, slack: float = 0.0, *, paired: bool = True
 ) -> Verdict:
-    """The verdict on a difference with a standard error; each of `tests` tests has Sidak's level."""
-    from scipy.stats import norm, t
+    """Compare estimates of a derivative, one of each seed.
 
-    critical = float(norm.isf(sidak(significance, tests) / 2))
+    Args:
+        what: The name of the comparison.
+        ours: By reverse mode.
+        theirs: The other estimates.
+        critical: The largest absolute z that passes.
+        slack: The difference that may have another cause than noise, in addition to rounding.
+        paired: Both have the same seeds, so that differences have less noise than either: Student's paired test.
+            Otherwise they are independent: Welch's test.
+    """
+    found, expected = float(np.mean(ours)), float(np.mean(theirs))
+    if paired:
+        error, dof = float(standard_error(ours - theirs)), len(ours) - 1.0
+    else:
+        variances = np.square([standard_error(ours), standard_error(theirs)])
+        dofs = np.array([len(ours), len(theirs)]) - 1
+        error = math.sqrt(variances.sum())
+        dof = float(pooled_dof(variances.sum(), (variances**2 / dofs).sum(), dofs.sum()))
+    difference = found - expected
     slack += TOLERANCE * max(abs(found), abs(expected))
     beyond = max(0.0, abs(difference) - slack)
     if not math.isfinite(difference):
         z = math.nan
     elif beyond == 0:
         z = 0.0
-    elif error == 0:
-        z = math.copysign(math.inf, difference)
     else:
-        ratio = beyond / error
-        z = math.copysign(min(float(norm.isf(t.sf(ratio, dof))), ratio), difference)
+        z = math.copysign(float(deviate(beyond / error, dof)) if error > 0 else math.inf, difference)
     return Verdict(what, found, expected, z, critical, slack)
+
+
+def standard_error(values: Floats) -> Any:
+    """The standard error of the mean over the last axis."""
+    return np.std(values, axis=-1, ddof=1) / math.sqrt(values.shape[-1])
 
 
 # ---- finite differences with common random numbers, and how far off they may be --------------
 
-
-Floats = npt.NDArray[np.float64]
 
 SHARE, LEAST = 0.1, 0.02
 """The step as a share of the largest entry that is changed, and the least one for entries near zero."""
 
 HALVINGS = 12
 """The most times that a step which leaves the parameter's range is halved."""
-
-
-@dataclass(frozen=True)
-class Difference:
-    """A derivative by finite differences at one seed."""
-
-    image: Floats
-    """The derivative of each pixel, (H, W, C)."""
-    loss: float
-    error: float
-    """The change that halving the step made to the loss's derivative: the truncation error is a fraction of it."""
 
 
 @dataclass(frozen=True)
@@ -167,12 +121,14 @@ class Step:
         """The images that `difference` renders."""
         return 4 if self.sides == 0 else 6
 
-    def difference(self, seed: int) -> Difference:
-        """The derivative at a seed, by two steps and Richardson's extrapolation, of fourth order (central) or third."""
+    def difference(self, seed: int) -> tuple[Floats, float]:
+        """The derivative of the image at a seed, by two steps and Richardson's extrapolation.
+
+        Of fourth order (central) or third; and how much halving the step changed the loss's derivative: the truncation
+        error is a fraction of it.
+        """
         coarse, fine = self._slope(self.size, seed), self._slope(self.size / 2, seed)
-        image = (4 * fine - coarse) / 3
-        change = self.loss.value(fine) - self.loss.value(coarse)
-        return Difference(image, self.loss.value(image), abs(change))
+        return (4 * fine - coarse) / 3, abs(self.loss.value(fine) - self.loss.value(coarse))
 
     def _slope(self, size: float, seed: int) -> Floats:
         """The derivative by differences of second order."""
@@ -409,8 +365,8 @@ def check_gradient(
         seeds=len(record.gradients),
         spp=spp,
         resolution=record.precision(),
-        derivative=record.forward[0].image / len(record.gradients),
-        by_differences=record.differences[0].image / len(record.gradients),
+        derivative=record.images[0] / len(record.gradients),
+        by_differences=record.images[1] / len(record.gradients),
         notes=tuple(notes),
     )
 
@@ -429,26 +385,6 @@ def mitsuba_loss(
         return None, [f"not compared with Mitsuba: {error}".splitlines()[0]]
 
 
-class Series:
-    """The derivatives of a loss at one seed after the other, and the sum of the derivative images."""
-
-    def __init__(self) -> None:
-        self.values: list[float] = []
-        self.image: Any = 0.0
-        self.error = 0.0
-        """The largest change that halving the step made, for finite differences: the mean over seeds."""
-
-    def add(self, value: float, image: Floats) -> None:
-        """Add the derivatives at a seed."""
-        self.values.append(value)
-        self.image = self.image + image
-
-    @property
-    def sample(self) -> Sample:
-        """The values."""
-        return Sample(tuple(self.values))
-
-
 class Record:
     """The estimates of all derivatives so far."""
 
@@ -456,9 +392,10 @@ class Record:
         self.loss, self.theirs, self.steps = loss, theirs, steps
         self.gradients: list[Floats] = []
         self.mitsuba: list[Floats] = []
-        self.forward = [Series() for _ in steps]
-        self.differences = [Series() for _ in steps]
-        self.changes: list[list[float]] = [[] for _ in steps]
+        self.rows: list[list[tuple[float, float, float]]] = []
+        """For each seed, and each direction: forward mode, finite differences, and the change by halving their step."""
+        self.images: Any = 0.0
+        """The sums of the derivative images in the first direction, by forward mode and by differences."""
 
     def extend(self, numbers: list[int], count: int, most: int, progress: Progress | None) -> None:
         """Add seeds until there are `count`; Mitsuba has the second half of the numbers."""
@@ -476,44 +413,49 @@ class Record:
             number = numbers[place]
             gradient = self.loss.reverse(number)
             advance()
-            for i, (direction, step) in enumerate(self.steps):
+            images, row = [], []
+            for direction, step in self.steps:
                 image = self.loss.forward(direction.vector, number)
-                self.forward[i].add(self.loss.value(image), image)
                 advance()
-                found: Difference = step.difference(number)
-                self.differences[i].add(found.loss, found.image)
-                self.changes[i].append(found.error)
+                by_differences, change = step.difference(number)
                 advance(step.renders)
+                images.append(np.stack([image, by_differences]))
+                row.append((self.loss.value(image), self.loss.value(by_differences), change))
             if self.theirs is not None:
                 self.mitsuba.append(self.theirs.reverse(numbers[most + place]))
                 advance()
+            self.images = self.images + images[0]
+            self.rows.append(row)
             self.gradients.append(gradient)
 
-    def along(self, gradients: list[Floats], direction: Direction) -> Sample:
-        """The derivatives in a direction by reverse mode."""
-        return Sample(tuple(float(gradient @ direction.vector) for gradient in gradients))
+    @property
+    def estimates(self) -> tuple[Floats, Floats, Floats, Floats]:
+        """Reverse mode, forward mode, differences and the changes of these, (directions, seeds) each."""
+        forward, differences, changes = np.array(self.rows).transpose(2, 1, 0)
+        return self.along(self.gradients), forward, differences, changes
+
+    def along(self, gradients: list[Floats]) -> Floats:
+        """The derivatives in all directions by reverse mode, (directions, seeds)."""
+        return np.stack([direction.vector for direction, _ in self.steps]) @ np.stack(gradients, axis=1)
 
     def precision(self) -> float:
         """The largest standard error of a difference to finite differences, relative to the largest derivative."""
-        errors, sizes = [], []
-        for (direction, _), series in zip(self.steps, self.differences, strict=True):
-            ours = self.along(self.gradients, direction)
-            errors.append(Sample(tuple(a - b for a, b in zip(ours.values, series.values, strict=True))).error)
-            sizes.append(max(abs(ours.mean), abs(series.sample.mean)))
-        return max(errors) / max(sizes) if max(sizes) > 0 else 0.0
+        ours, _, differences, _ = self.estimates
+        size = np.abs([ours.mean(axis=1), differences.mean(axis=1)]).max()
+        return float(standard_error(ours - differences).max() / size) if size > 0 else 0.0
 
     def verdicts(self, significance: float) -> list[Verdict]:
         """The verdicts on all comparisons."""
         found = []
-        tests = len(self.steps) * (2 + (self.theirs is not None))
-        for i, (direction, _) in enumerate(self.steps):
-            ours = self.along(self.gradients, direction)
+        critical = limit_of(significance, len(self.steps) * (2 + (self.theirs is not None)))
+        for i, ((direction, _), ours, forward, differences, changes) in enumerate(
+            zip(self.steps, *self.estimates, strict=True)
+        ):
             label = f"{direction.name}, " if direction.name else ""
-            found.append(paired(f"{label}forward mode", ours, self.forward[i].sample, 0.0, significance, tests))
+            found.append(judged(f"{label}forward mode", ours, forward, critical))
             # Halving the step takes most of the truncation error away, and extrapolation most of the rest.
-            slack = abs(float(np.mean(self.changes[i]))) / 3
-            found.append(paired(f"{label}differences", ours, self.differences[i].sample, slack, significance, tests))
+            found.append(judged(f"{label}differences", ours, differences, critical, float(np.mean(changes)) / 3))
             if self.theirs is not None:
-                other = self.along(self.mitsuba, direction)
-                found.append(compared(f"{label}Mitsuba", ours, other, 0.0, significance, tests))
+                other = self.along(self.mitsuba)[i]
+                found.append(judged(f"{label}Mitsuba", ours, other, critical, paired=False))
         return found
