@@ -91,7 +91,9 @@ def viewed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Viewed]:
 def test_tone_curves_are_those_of_tonemap(viewed: Viewed, curve: str, tmp_path: Path) -> None:
     viewed.until_done()
     viewed.page.run(f"void (curve.value = '{curve}', exposure.value = 1, curve.onchange())")
-    expected = djpt.Image(djpt.tonemap(np.ascontiguousarray(viewed.session.picture.pixels()), curve, exposure=1.0))
+    expected = djpt.Image(
+        djpt.tonemap(np.ascontiguousarray(viewed.session.picture.image().numpy()), curve, exposure=1.0)
+    )
     djpt.write(tmp_path / "expected.png", expected)
     encoded = np.asarray(Image.open(tmp_path / "expected.png").convert("RGB"), np.float64)
     shown = viewed.shown()
@@ -107,7 +109,7 @@ def test_the_pixel_under_the_pointer_has_its_value(viewed: Viewed) -> None:
     text = viewed.page.run("document.getElementById('pixel').textContent")
     place, _, numbers = text.partition(":")
     assert place == "(20, 15)"
-    assert np.allclose([float(x) for x in numbers.split()], viewed.session.picture.pixels()[15, 20], rtol=0.01)
+    assert np.allclose([float(x) for x in numbers.split()], viewed.session.picture.image().numpy()[15, 20], rtol=0.01)
 
 
 def test_a_drag_turns_the_camera_and_a_button_brings_it_back(viewed: Viewed) -> None:
@@ -134,7 +136,7 @@ def test_controls_change_parameters(viewed: Viewed) -> None:
         " picker.value = '#00ff00'; picker.oninput(); })()"
     )
     assert np.allclose(viewed.session.stage.params["ball.bsdf.reflectance.value"], [[0], [1], [0]], atol=1e-6)
-    red, green, _ = viewed.session.picture.pixels()[16, 24]
+    red, green, _ = viewed.session.picture.image().numpy()[16, 24]
     assert green > 0.3 and red < 0.01
 
 
@@ -166,7 +168,7 @@ def test_a_window_of_pixels(viewed: Viewed) -> None:
     viewed.page.drag(corner, (left + 24.5 / 48 * width, top + 16.5 / 32 * height), CTRL)
     viewed.until(f"Number(document.body.dataset.answer) > {before}")
     assert viewed.session.stage.window == (8, 4, 16, 12)
-    assert viewed.session.picture.pixels().shape == (12, 16, 3)
+    assert viewed.session.picture.image().numpy().shape == (12, 16, 3)
     assert viewed.shown().shape == (32, 48, 3)
     viewed.ask("whole.onclick()")
     assert viewed.session.stage.window == (0, 0, 48, 32)

@@ -11,8 +11,9 @@ import pytest
 
 import djpt
 from djpt.apps.viewer.controls import controls
-from djpt.apps.viewer.session import Picture, Session, Stage, packed
+from djpt.apps.viewer.session import Session, Stage, packed
 from djpt.errors import DjptError
+from djpt.rendering.progressive.accumulation import EvenAccumulation
 from djpt.rendering.progressive.rounds import Rounds, round_seed
 from djpt.rendering.settings import RenderSettings
 from djpt.scenes.overrides import described, override
@@ -52,7 +53,7 @@ def test_a_picture_is_the_sum_of_its_rounds() -> None:
     while not shown.waits:
         shown.render_round()
     assert pages.header["spp"] == 8 == shown.picture.spp
-    assert np.allclose(pages.pixels, shown.picture.pixels(), rtol=1e-3, atol=1e-4)
+    assert np.allclose(pages.pixels, shown.picture.image().numpy(), rtol=1e-3, atol=1e-4)
 
 
 def test_rounds_of_any_size_give_the_error_of_the_mean() -> None:
@@ -60,12 +61,12 @@ def test_rounds_of_any_size_give_the_error_of_the_mean() -> None:
     scene = djpt.load_dict(box(rfilter="box"))
     means, estimates = [], []
     for run in range(24):
-        picture = Picture(("R", "G", "B"))
+        picture = EvenAccumulation.empty({}, ("R", "G", "B"), 0, (24, 24), 1, "auto")
         for number, spp in enumerate((1, 2, 4, 1)):
             seed = round_seed(100 * run, number)
-            picture.add(Rounds(scene, RenderSettings.of(scene, spp=spp)).begin(seed)(), spp)
-        means.append(picture.pixels() @ np.array([0.212671, 0.715160, 0.072169]))
-        estimates.append(picture.error() ** 2)
+            picture = picture.with_round(seed, spp, Rounds(scene, RenderSettings.of(scene, spp=spp)).begin(seed)())
+        means.append(picture.image().numpy() @ np.array([0.212671, 0.715160, 0.072169]))
+        estimates.append(picture.error().pixels.numpy() ** 2)
     assert np.isclose(np.mean(estimates), np.var(means, axis=0, ddof=1).mean(), rtol=0.15)
 
 
@@ -272,7 +273,7 @@ def test_light_and_error_share_their_rounds() -> None:
     spp = shown.picture.spp
     shown.take({"do": "show", "layer": "error"})
     assert shown.picture.spp == spp
-    assert np.allclose(pages.pixels[..., 0], shown.picture.error(), rtol=1e-3, atol=1e-4)
+    assert np.allclose(pages.pixels[..., 0], shown.picture.error().pixels, rtol=1e-3, atol=1e-4)
     shown.take({"do": "show", "layer": "depth"})
     assert shown.picture.spp == 0
     shown.render_round()

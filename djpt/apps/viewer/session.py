@@ -23,14 +23,14 @@ from djpt.errors import RenderError, near_miss
 from djpt.images.tone_mapping import ACES_IN, ACES_OUT, AGX_CURVE, AGX_IN, AGX_OUT, AGX_STOPS
 from djpt.integrators.base import Integrator
 from djpt.rendering.image import channel_names
-from djpt.rendering.progressive.accumulation import luminance
-from djpt.rendering.progressive.rounds import Rounds, RoundSums, round_seed
+from djpt.rendering.progressive.accumulation import EvenAccumulation
+from djpt.rendering.progressive.rounds import Rounds, round_seed
 from djpt.rendering.settings import RenderSettings, find_integrator
 from djpt.scene.scene import find_sensor
 from djpt.sensors.orthographic import Orthographic
 from djpt.sensors.projective import ProjectiveCamera
 
-__all__ = ["Picture", "Session", "Stage", "Watch", "packed"]
+__all__ = ["Session", "Stage", "Watch", "packed"]
 
 LAYERS = {
     "light": "",
@@ -88,6 +88,11 @@ class Stage:
     def channels(self) -> tuple[str, ...]:
         """The names of the image's channels."""
         return channel_names(self.scene, self.number, self.integrator)
+
+    def begun(self) -> EvenAccumulation:
+        """The sum of no rounds of the image; each round will count by its samples per pixel."""
+        unfiltered = len(self.integrator.unfiltered_names())
+        return EvenAccumulation.empty({}, self.channels, unfiltered, self.window[2:], 1, "auto")
 
     @property
     def size(self) -> tuple[int, int]:
@@ -234,7 +239,8 @@ class Session:
         description = describe()
         self._watch = Watch(files_of(description))
         self.stage = Stage(description, sensor)
-        self.picture = Picture(self.stage.channels)
+        self.picture = self.stage.begun()
+        """The sum of all rounds."""
         self._round_spp, self._paused, self._asked = 1, False, 0
         self._touched = False
         """True if the scene has been changed since it was first loaded."""
@@ -297,7 +303,7 @@ class Session:
         start = time.perf_counter()
         part = result()
         seconds = time.perf_counter() - start
-        self.picture.add(part, spp)
+        self.picture = self.picture.with_round(seed, spp, part)
         if self.picture.rounds > 1 and seconds < SHORT:
             self._round_spp = 2 * spp
         elif seconds > LONG:
@@ -313,7 +319,10 @@ class Session:
 
     def shown(self) -> npt.NDArray[np.float32]:
         """The three channels of the layer that is shown, (height, width, 3)."""
-        pixels = self.picture.error()[..., None] if self.stage.layer == "error" else self.picture.pixels()
+        if self.stage.layer == "error":  # infinite after one round
+            pixels = np.nan_to_num(self.picture.error().pixels.numpy(), posinf=0.0)[..., None]
+        else:
+            pixels = self.picture.image().numpy()
         if self.stage.layer == "uv":
             return np.pad(pixels, ((0, 0), (0, 0), (0, 1)))
         return pixels[..., :3] if pixels.shape[2] >= 3 else np.repeat(pixels[..., :1], 3, axis=2)
@@ -321,13 +330,14 @@ class Session:
     def header(self) -> dict[str, Any]:
         """The header of a frame."""
         x, y, width, height = self.stage.window
+        error = self.picture.error().overall
         return {
             "size": self.stage.size,
             "window": [x, y, width, height],
             "layer": self.stage.layer,
             "spp": self.picture.spp,
             "goal": self.spp,
-            "error": self.picture.relative_error(),
+            "error": error if math.isfinite(error) else 0.0,
             "seconds": time.perf_counter() - self._start,
             "answer": self._asked,
         }
@@ -360,7 +370,7 @@ class Session:
 
     def begin(self) -> None:
         """Restart the picture, with rounds of one sample per pixel."""
-        self.picture, self._round_spp, self._rounds = Picture(self.stage.channels), 1, None
+        self.picture, self._round_spp, self._rounds = self.stage.begun(), 1, None
         self._failure = ""
         self._start = time.perf_counter()
 
@@ -459,75 +469,3 @@ def stamp(path: Path) -> tuple[int, int] | None:
     except OSError:
         return None
     return status.st_mtime_ns, status.st_size
-
-
-# ---- the sum of the rounds rendered so far ---------------------------------------------------
-
-
-Floats = npt.NDArray[np.float32]
-Doubles = npt.NDArray[np.float64]
-
-
-class Picture:
-    """An image that rounds of any number of samples are added to, and its error.
-
-    The error comes from the rounds' luminance x with w samples per pixel each: with W the sum of w, m the weighted mean
-    and R rounds, the variance of the mean is ``(sum of w x^2 / W - m^2) / (R - 1)``, which is unbiased, as the variance
-    of a round is inversely proportional to w.
-    """
-
-    def __init__(self, channels: tuple[str, ...]) -> None:
-        self.channels = channels
-        """The names of the channels."""
-        self.rounds = 0
-        """The number of rounds."""
-        self.spp = 0
-        """Samples per pixel of all rounds."""
-        self._sums: Doubles = np.zeros((0, 0, 0))
-        self._weights: Doubles = np.zeros((1, 1))
-        self._constant: Floats = np.zeros((0, 0, 0), np.float32)
-        self._mean: Doubles = np.zeros((0, 0))
-        self._square: Doubles = np.zeros((0, 0))
-
-    def add(self, part: RoundSums, spp: int) -> None:
-        """Add a round of `spp` samples per pixel."""
-        brightness = luminance(part.sums * inverse(part.weights), self.channels)
-        if not self.rounds:
-            self._sums, self._weights = np.zeros(part.sums.shape), np.zeros(part.weights.shape)
-            self._mean, self._square = np.zeros(brightness.shape), np.zeros(brightness.shape)
-        self._sums += part.sums
-        self._weights += part.weights
-        self._constant = part.constant
-        weighted = spp * brightness
-        self._mean += weighted
-        self._square += weighted * brightness
-        self.rounds += 1
-        self.spp += spp
-
-    def pixels(self) -> Floats:
-        """The image, (height, width, channels)."""
-        filtered = np.empty(self._sums.shape, np.float32)
-        np.multiply(self._sums, inverse(self._weights), out=filtered, casting="same_kind")
-        image = np.moveaxis(filtered, 0, 2)
-        return np.concatenate([image, self._constant], axis=2) if self._constant.size else image
-
-    def error(self) -> Floats:
-        """The standard error of the luminance of each pixel, (height, width); zero until there are two rounds."""
-        return np.sqrt(self._variance()).astype(np.float32)
-
-    def relative_error(self) -> float:
-        """The root of the mean squared error of the pixels, divided by the mean luminance; 0 if that is unknown."""
-        mean = float(self._mean.mean()) / max(1, self.spp)
-        return math.sqrt(float(self._variance().mean())) / mean if mean > 0 else 0.0
-
-    def _variance(self) -> Doubles:
-        """The variance of the mean luminance of each pixel."""
-        if self.rounds < 2:
-            return np.zeros(self._mean.shape)
-        mean = self._mean / self.spp
-        return np.maximum(self._square / self.spp - mean * mean, 0) / (self.rounds - 1)
-
-
-def inverse(weights: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
-    """One divided by the weights, and 1 where there are none."""
-    return 1 / np.where(weights == 0, 1, weights)
