@@ -14,6 +14,7 @@ imported when it is first used, and Dr.Jit with the first name that needs it. Un
 from __future__ import annotations
 
 import importlib
+import os
 import sys
 from typing import TYPE_CHECKING, Any
 
@@ -158,6 +159,10 @@ __all__ = sorted([*_own_names, *_MODULE_OF, *_SUBMODULES, "__version__"])
 sys.modules.update({f"djpt.{name}": sys.modules[__name__] for name in _VARIANT_MODULES})
 
 sys.meta_path.insert(0, _FormerPaths())
+
+# NumPy's OpenBLAS starts a thread per core, and each spins for 2^26 ticks until it sleeps, also after each product of
+# large matrices: 25 ms of every core, when scenes are loaded and kernels compiled. 2^20 ticks are enough for the next.
+os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", "20")
 
 # Before anything can import Dr.Jit, also the user's own `import mitsuba` on the next line.
 _prepare()

@@ -7,9 +7,7 @@ fill the memory or wait for ever.
 from __future__ import annotations
 
 import contextlib
-import glob
 import os
-import secrets
 import stat
 import sys
 from collections.abc import Iterator, Mapping
@@ -172,7 +170,7 @@ def replacing(target: Path) -> Iterator[Path]:
     # A link is followed, so that it stays a link. The name begins with a dot and keeps the extension.
     real = check_target(target)
     remove_leftovers(real)
-    temporary = real.with_name(f"{prefix(real)}{secrets.token_hex(4)}{real.suffix}")
+    temporary = real.with_name(f"{prefix(real)}{os.urandom(4).hex()}{real.suffix}")
     unfinished.add(temporary)
     try:
         with errors_of_writing(target):
@@ -231,8 +229,9 @@ def remove_leftovers(real: Path) -> None:
     if sys.platform == "win32":
         return
     digits = frozenset("0123456789abcdef")
-    for path in real.parent.glob(f"{glob.escape(prefix(real))}????????{glob.escape(real.suffix)}"):
-        if not digits.issuperset(path.name[len(prefix(real)) :][:8]):
+    for path in real.parent.iterdir():
+        middle = path.name.removeprefix(prefix(real)).removesuffix(real.suffix)
+        if path.name != f"{prefix(real)}{middle}{real.suffix}" or len(middle) != 8 or not digits.issuperset(middle):
             continue
         with contextlib.suppress(OSError), path.open("rb") as file:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

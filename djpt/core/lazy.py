@@ -15,8 +15,8 @@ from __future__ import annotations
 
 import importlib
 import re
+import sys
 from collections.abc import Callable
-from importlib.util import find_spec
 from typing import Any
 
 __all__ = ["lazily"]
@@ -29,7 +29,7 @@ def lazily(package: str) -> tuple[Callable[[str], Any], Callable[[], list[str]],
 
     Modules of the package are attributes, too, as if they had been imported.
     """
-    spec = find_spec(package)
+    spec = sys.modules[package].__spec__
     source = spec.loader.get_source(package) if spec is not None and spec.loader is not None else ""  # type: ignore[attr-defined]
     sources = {alias: (module, name) for module, name, alias in LINE.findall(source)}
     modules = {module.rpartition(".")[2]: module for module, _ in sources.values()}

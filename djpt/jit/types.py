@@ -10,7 +10,6 @@ classes can't be subclassed): the names say what is meant, not what is checked.
 from __future__ import annotations
 
 import functools
-import inspect
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -103,7 +102,8 @@ def converting(function: Function) -> Function:
         ArgumentError: by the function, if an argument can't be converted.
     """
     types = argument_types(function)
-    by_position = [(name, types.get(name)) for name in inspect.signature(function).parameters]
+    code = function.__code__
+    by_position = [(name, types.get(name)) for name in code.co_varnames[: code.co_argcount]]
 
     @functools.wraps(function)
     def call(*arguments: Any, **keywords: Any) -> Any:
@@ -120,7 +120,7 @@ def converting(function: Function) -> Function:
 
 def argument_types(function: Callable[..., Any]) -> dict[str, Any]:
     """The types of this module that a function's arguments are annotated with, by name."""
-    return {name: globals()[kind] for name, kind in inspect.get_annotations(function).items() if kind in __all__}
+    return {name: globals()[kind] for name, kind in function.__annotations__.items() if kind in __all__}
 
 
 def converted(function: Callable[..., Any], name: str, value: Any, kind: Any) -> Any:

@@ -77,3 +77,15 @@ except ModuleNotFoundError as error:
     assert error.name == "djpt.types.nothing", error.name
 """
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
+
+
+def test_the_first_scene_imports_no_slow_modules() -> None:
+    """Modules of the standard library that take longer than a file of ours, and that no scene of shapes needs."""
+    slow = ("asyncio", "difflib", "hashlib", "importlib.resources", "logging", "random", "subprocess", "tempfile")
+    code = f"""
+import djpt, sys
+djpt.load_dict(djpt.cornell_box())
+print(*(name for name in {slow} if name in sys.modules))
+"""
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert shown.stdout.split() == []

@@ -11,14 +11,11 @@ from __future__ import annotations
 
 import ctypes
 import functools
-import glob
 import os
 import platform
 import re
-import subprocess
 import sys
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 __all__ = [
     "MINIMUM",
@@ -145,32 +142,37 @@ def private_folders() -> list[str]:
     return [os.path.join(sys.prefix, "llvm"), os.path.join(data, "djpt", "llvm")]
 
 
-def _patterns() -> list[str]:
-    """Glob patterns of the places where LLVM is usually installed."""
+def _folders() -> list[str]:
+    """The folders where LLVM is usually installed."""
     prefixes = {sys.prefix, os.environ.get("CONDA_PREFIX") or sys.prefix}
-    patterns = [f"{glob.escape(prefix)}/lib/libLLVM*" for prefix in prefixes]
-    patterns += [f"{glob.escape(folder)}/libLLVM*" for folder in private_folders()]
+    folders = [os.path.join(prefix, "lib") for prefix in prefixes] + private_folders()
     if sys.platform == "win32":
-        folders = [*os.environ.get("PATH", "").split(";"), r"C:\Program Files\LLVM\bin", rf"{sys.prefix}\Library\bin"]
-        return patterns + [rf"{glob.escape(folder)}\LLVM-C.dll" for folder in folders if folder]
+        searched = os.environ.get("PATH", "").split(";")
+        return [*folders, *searched, r"C:\Program Files\LLVM\bin", rf"{sys.prefix}\Library\bin"]
     if sys.platform == "darwin":
-        folders = ["/opt/homebrew/opt/llvm*/lib", "/usr/local/opt/llvm*/lib", "/opt/local/libexec/llvm-*/lib"]
-        return patterns + [f"{folder}/libLLVM.dylib" for folder in folders]
-    folders = ["/usr/lib", "/usr/lib64", "/usr/lib/*-linux-gnu", "/usr/local/lib"]
-    folders += ["/usr/lib/llvm-*/lib", "/usr/lib64/llvm*/lib"]
-    return patterns + [f"{folder}/libLLVM*.so*" for folder in folders] + _from_ldconfig()
+        of_homebrew = [f"{path}/lib" for path in _entries("/opt/homebrew/opt", "llvm")]
+        of_macports = [f"{path}/lib" for path in _entries("/opt/local/libexec", "llvm-")]
+        return [*folders, *of_homebrew, "/usr/local/opt/llvm/lib", *of_macports]
+    folders += ["/usr/lib", "/usr/lib64", *_entries("/usr/lib", "-linux-gnu"), "/usr/local/lib"]
+    return folders + [f"{path}/lib" for parent in ("/usr/lib", "/usr/lib64") for path in _entries(parent, "llvm")]
 
 
-def _from_ldconfig() -> list[str]:
-    """The LLVM libraries in the cache of the dynamic loader (Linux)."""
-    for tool in ("/sbin/ldconfig", "/usr/sbin/ldconfig"):
-        if os.path.exists(tool):
-            try:
-                listing = subprocess.run([tool, "-p"], capture_output=True, text=True, timeout=10, check=False).stdout
-            except (OSError, subprocess.SubprocessError):
-                return []
-            return [glob.escape(path) for path in re.findall(r"=> (\S*libLLVM\S+)", listing)]
-    return []
+def _entries(folder: str, part: str) -> list[str]:
+    """The paths in a folder whose names have `part` in them; none if it can't be read."""
+    try:
+        return [os.path.join(folder, name) for name in os.listdir(folder or os.curdir) if part in name]
+    except OSError:
+        return []
+
+
+def _known_to_loader() -> list[str]:
+    """The LLVM libraries in the cache of the dynamic loader (Linux), whose texts end in zeros."""
+    try:
+        with open("/etc/ld.so.cache", "rb") as file:
+            texts = file.read().split(b"\0")
+    except OSError:
+        return []
+    return [os.fsdecode(text) for text in texts if b"libLLVM" in text and text.startswith(b"/")]
 
 
 def _version_in_name(path: str) -> int:
@@ -183,6 +185,8 @@ def _version(path: str) -> int:
     version = _version_in_name(path)
     if version:
         return version
+    import subprocess  # takes longer than the rest of the search
+
     try:
         answer = subprocess.run(
             [sys.executable, "-c", _ASK_VERSION, path], capture_output=True, text=True, timeout=30, check=False
@@ -199,13 +203,10 @@ def _judged(path: str, version: int) -> Candidate:
 
 def _candidates(folders: tuple[str, ...]) -> list[Candidate]:
     """All libraries found, best first: tested versions, newest first, then newer ones, then too old ones."""
-    patterns = [f"{glob.escape(folder)}/*LLVM*" for folder in folders] if folders else _patterns()
-    files = {
-        os.path.realpath(path)
-        for pattern in patterns
-        for path in glob.glob(pattern)
-        if _LIBRARY_NAME.search(os.path.basename(path))
-    }
+    paths = [path for folder in folders or _folders() for path in _entries(folder, "LLVM")]
+    if not folders:
+        paths += _known_to_loader()
+    files = {os.path.realpath(path) for path in paths if _LIBRARY_NAME.search(os.path.basename(path))}
     found = [_judged(path, _version(path)) for path in sorted(files)]
 
     def rank(candidate: Candidate) -> tuple[bool, int, str]:
@@ -233,7 +234,7 @@ def _open(path: str) -> tuple[ctypes.CDLL | None, str]:
     """Open a library; in a private folder open its neighbours first, which nothing else would find."""
     folder = os.path.dirname(path)
     private = folder in {os.path.realpath(f) for f in private_folders()}
-    waiting = [f for f in glob.glob(f"{glob.escape(folder)}/lib*.so*") if private and "LLVM" not in f]
+    waiting = [f for f in _entries(folder, ".so") if "LLVM" not in f] if private else []
     while True:
         try:
             return ctypes.CDLL(path), ""
@@ -267,7 +268,7 @@ def search() -> Search:
     folders = tuple(f for f in os.environ.get(SEARCH_VARIABLE, "").split(os.pathsep) if f)
     wanted = os.environ.get(PATH_VARIABLE, "")
     if wanted and wanted != os.environ.get(_MARK):
-        if os.sep in wanted and not Path(wanted).exists():
+        if os.sep in wanted and not os.path.exists(wanted):
             examined = Candidate(wanted, 0, "no such file")
         else:
             examined = _examine(_judged(wanted, _version_in_name(wanted)))
