@@ -63,7 +63,12 @@ class Geometry:
         self._low, self._high = as_vector(low), as_vector(high)
 
     def approach(self, ray: Ray3f) -> tuple[Ray3f, Float]:
-        """Move a ray's origin near the shapes, and return the ray and the distance moved: see `recentre`."""
+        """Move a ray's origin near the shapes, and return the ray and the distance moved: see `recentre`.
+
+        Where all shapes stand in the tree, its search moves the origin.
+        """
+        if not self.analytic_shapes:
+            return ray, Float(0)
         return recentre(ray, self._low, self._high)
 
     def seen_from(self, points: Sequence[np.ndarray]) -> Geometry:

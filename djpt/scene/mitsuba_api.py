@@ -159,7 +159,7 @@ class MitsubaScene(SceneQueries):
         surface = self.geometry.surface(near, pi, self.lookup, full=True)
         pi.t = pi.t + entry
         pi.prim_index = self.geometry.primitive_index(pi.face, surface.uv, surface.p, self.lookup)
-        pi.prim_uv = surface.prim_uv
+        pi.prim_uv = dr.select(pi.is_valid(), surface.prim_uv, 0)
         pi.shape_index = dr.select(pi.is_valid(), pi.shape_index, 0)
         pi.instances = self._instances(pi)
         if pi.near is None or pi.near.inside is None:

@@ -217,3 +217,13 @@ def test_scenes_without_surfaces() -> None:
     scene = djpt.load_dict({"type": "scene", "sky": {"type": "constant"}})
     assert not np.array(scene.ray_test(rays([[0, 0, 0]] * 2, [[0, 0, 1]] * 2))).any()
     assert np.isinf(np.array(scene.ray_intersect(rays([[0, 0, 0]] * 2, [[0, 0, 1]] * 2)).t)).all()
+
+
+def test_a_miss_has_zeros(folder: Path) -> None:
+    # Lanes of a packet that searches leave as they are must not show what was in memory.
+    o = Point3f(np.linspace(50, 60, 40), 50, 50)
+    d = Vector3f(0, dr.select(dr.arange(Float, 40) < 33, 1.0, -1.0), 0)
+    pi = meshes(folder).ray_intersect_preliminary(Ray3f(o, d))
+    assert not dr.any(pi.is_valid())
+    for field in (pi.prim_uv.x, pi.prim_uv.y, pi.prim_index, pi.shape_index):
+        assert dr.all(field == 0)

@@ -257,14 +257,13 @@ class PacketSearch:
             slot = lowest_bit(bits).to(I64) * 4
             remaining.value = bits & (bits - 1)
             test = self.test(leaf, slot)
-            triangles.again_if(~any_of(test.inside))
+            # No branch: whether any ray hits can't be predicted.
             t, *weights = test.distance()
             hit = test.inside & (t > 0.0) & (t < self.limit.value)
-            triangles.again_if(~any_of(hit))
             record = f.load(I32, leaf.at(NUMBER_ROW).at(slot)) + f.load(I32, self.packet.scene)
             if self.packet.features.lights or self.packet.features.one_sided:
-                hit = hit & ~self.passes(record)
                 triangles.again_if(~any_of(hit))
+                hit = hit & ~self.passes(record)
             self.note(hit, t, weights, record, search)
         self.reach.value = across_lanes(self.limit.value, maximum).lane(0)
 
@@ -294,6 +293,8 @@ class PacketSearch:
             self.limit.value = select(hit, float("-inf"), self.limit.value)
             search.stop_if(~any_of(self.limit.value > 0.0))
             return
+        # The kernel will read the record.
+        f.prefetch(self.packet.scene.at(record.to(I64) * ROW_BYTES))
         b1, b2 = (weight.bits_as(self.words) for weight in weights)
         found = (b1, b2, record.spread(self.packet.width), f.constant(self.words, 0))
         for variable, value in zip(self.hits, found, strict=True):

@@ -444,6 +444,8 @@ class RingSearch:
         f = self.f
         for value, field in ((t, "maxt"), (weights[0], B1), (weights[1], B2), (record, RECORD)):
             f.store(value, self.number(field, lane))
+        # The kernel will read the record.
+        f.prefetch(self.scene.at(record.to(I64) * ROW_BYTES))
         inside = self.instances[lane] if self.features.instances else f.constant(I32, 0)
         f.store(inside, self.number(INSIDE, lane))
         with f.either((f.load(I32, self.number("flags", lane)) & ANY_HIT) != 0) as branch:
