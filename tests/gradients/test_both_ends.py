@@ -12,13 +12,12 @@ import pytest
 import djpt
 from djpt.rendering.schedules import passes
 from tests.integrators.test_bdpt import MATERIALS
+from tests.kit.derivatives import ALBEDO, RADIANCE, Experiment, Slopes, differentiable, numbers
 from tests.kit.emitters import entry
-from tests.kit.image_gradients import ALBEDO, RADIANCE, Experiment
 from tests.kit.kernels import kernels
 from tests.kit.lit_floor import floor_scene
 from tests.kit.mesh_scenes import ball_file
 from tests.kit.renders import box
-from tests.kit.slopes import Slopes, numbers
 
 WHITE = "white.reflectance.value"
 slow = pytest.mark.slow
@@ -56,10 +55,7 @@ def test_films(kind: str) -> None:
 @pytest.mark.parametrize("kind", ["bdpt", "ptracer"])
 def test_roulette_does_not_matter_to_reverse_and_forward(kind: str) -> None:
     experiment = Experiment(box(12, "box", of(kind, max_depth=8, rr_depth=2)), [ALBEDO])
-    gradient = experiment.reverse()[ALBEDO]
-    for component in range(3):
-        forward = float(np.sum(experiment.forward(ALBEDO, component) * experiment.weights))
-        assert forward == pytest.approx(gradient[component], rel=1e-4)
+    experiment.assert_modes_agree()
 
 
 @slow
@@ -68,13 +64,13 @@ def test_passes(monkeypatch: pytest.MonkeyPatch) -> None:
     from djpt.rendering.gradients import splatted
 
     for kind in ("bdpt", "ptracer"):
-        whole = Experiment(box(16, "gaussian", of(kind)), [ALBEDO]).reverse()[ALBEDO]
+        whole = Experiment(box(16, "gaussian", of(kind)), [ALBEDO]).gradients()[ALBEDO]
         with monkeypatch.context() as patch:
             patch.setattr(passes, "STORED_SAMPLES", 3 * 256)
             patch.setattr(passes, "STORED_PIXELS", (7 * 16, 7 * 16))
             patch.setattr(splatted, "PASS_PATHS", 1000)
             split = Experiment(box(16, "gaussian", of(kind)), [ALBEDO])
-            np.testing.assert_allclose(split.reverse()[ALBEDO], whole, rtol=1e-4)
+            np.testing.assert_allclose(split.gradients()[ALBEDO], whole, rtol=1e-4)
             split.check()
 
 
@@ -87,20 +83,18 @@ class SceneSlopes(Slopes):
     spp, seeds = 64, (4, 24)
 
     def __init__(self, description: dict[str, Any]) -> None:
-        super().__init__(description)
-        rng = np.random.default_rng(3)
-        for key in self.params:
-            kept = self.params.flags(key).differentiable and not key.endswith("to_world")
-            if not kept or key.split(".")[0] in ("sensor", "integrator") or "vertex" in key:
+        scene = djpt.load_dict(description)
+        params, rng, at, along = djpt.traverse(scene), np.random.default_rng(3), {}, {}
+        for key in differentiable(params):
+            if key.split(".")[0] in ("sensor", "integrator") or "vertex" in key:
                 continue
-            value = numbers(self.params[key])
+            value = numbers(params[key])
             if not np.issubdtype(value.dtype, np.floating) or value.size == 0 or "weight" in key:
                 continue
-            self.keys.append(key)
             largest = max(1.0, np.abs(value).max())
-            self.at[key] = 0.9 * value + 0.03 * (largest == 1)
-            self.along[key] = largest * rng.uniform(0.5, 1, value.shape)
-        self.put(self.at)
+            at[key] = 0.9 * value + 0.03 * (largest == 1)
+            along[key] = largest * rng.uniform(0.5, 1, value.shape)
+        super().__init__(scene, at, along)
 
 
 def lit(name: str, kind: str) -> dict[str, Any]:

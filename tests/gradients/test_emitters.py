@@ -9,9 +9,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import djpt
+from tests.kit.derivatives import Slopes, differentiable, numbers
 from tests.kit.emitters import NAMES, entry, first_of_each, plugin_of
 from tests.kit.lit_floor import floor_scene
-from tests.kit.slopes import Slopes, numbers
 
 pytestmark = pytest.mark.cuda
 
@@ -24,26 +25,19 @@ class EmitterSlopes(Slopes):
 
     def __init__(self, name: str, schedule: str = "auto") -> None:
         integrator = {"type": "prb", "max_depth": 4, "rr_depth": 1000}
-        super().__init__(floor_scene({"light": entry(name)}, size=self.size, integrator=integrator), schedule)
-        self.keys = [
-            key
-            for key in self.params
-            # Of a shape that shines, what the emitter in it has.
-            if key.startswith("light.emitter." if "emitter" in entry(name) else "light.")
-            and self.params.flags(key).differentiable
-            # Motions are compared in tests/silhouettes.
-            and key not in ("light.to_world", "light.position")
-            and key not in JUMPS.get(name, ())
-            and not (key == "light.sun_direction" and entry(name).get("sun_scale", 1))  # refused with a reason
-        ]
-        rng = np.random.default_rng(3)
-        for key in self.keys:
-            value = numbers(self.params[key])
+        scene = djpt.load_dict(floor_scene({"light": entry(name)}, size=self.size, integrator=integrator))
+        params, rng = djpt.traverse(scene), np.random.default_rng(3)
+        refused = {"light.sun_direction"} if entry(name).get("sun_scale", 1) else set()
+        at, along = {}, {}
+        # Of a shape that shines, what the emitter in it has.
+        prefix = "light.emitter." if "emitter" in entry(name) else "light."
+        for key in differentiable(params, prefix, JUMPS.get(name, set()) | refused):
+            value = numbers(params[key])
             # Off the ends of all ranges; angles in degrees have as much effect as other numbers by larger steps.
             degrees = key.endswith(("angle", "width"))
-            self.at[key] = np.clip(value, 3, 80) * (0.8 if key.endswith("width") else 1) if degrees else value + 0.03
-            self.along[key] = rng.uniform(0.5, 1, value.shape) * (10 if degrees else 1)
-        self.put(self.at)
+            at[key] = np.clip(value, 3, 80) * (0.8 if key.endswith("width") else 1) if degrees else value + 0.03
+            along[key] = rng.uniform(0.5, 1, value.shape) * (10 if degrees else 1)
+        super().__init__(scene, at, along, schedule)
 
 
 SEEN = [name for name in NAMES if plugin_of(name) != "directionalarea"]
@@ -63,7 +57,7 @@ def test_every_parameter(name: str) -> None:
 @pytest.mark.parametrize("name", ["directional-turned", "projector-bitmap", "spot-turned", "spot-bitmap"])
 def test_schedules_agree(name: str) -> None:
     """The same samples in another order."""
-    flat, wave = (EmitterSlopes(name, schedule).attached(1) for schedule in ("flat", "wave"))
+    flat, wave = (EmitterSlopes(name, schedule).slopes(1) for schedule in ("flat", "wave"))
     largest = max(map(abs, flat.values()))
     for key, slope in flat.items():
         assert wave[key] == pytest.approx(slope, rel=1e-3, abs=1e-4 * largest), key
@@ -88,4 +82,4 @@ def test_wrong_derivatives_fail(name: str, key: str) -> None:
 
 def test_a_hidden_light_has_no_gradient() -> None:
     with pytest.warns(UserWarning, match="can't show light"):
-        assert EmitterSlopes("directionalarea-rectangle").attached(1) == {"light.emitter.radiance.value": 0.0}
+        assert EmitterSlopes("directionalarea-rectangle").slopes(1) == {"light.emitter.radiance.value": 0.0}

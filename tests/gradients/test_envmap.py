@@ -15,7 +15,8 @@ import pytest
 import djpt
 from djpt.core.transforms import ScalarTransform4f as T
 from djpt.distributions import Hierarchical2D
-from djpt.jit.types import Float, TensorXf
+from djpt.validation.gradcheck.losses import Loss
+from tests.kit.derivatives import mean_and_error
 from tests.kit.lit_floor import floor_scene
 
 ROWS, COLUMNS, SIZE = 6, 9, 20
@@ -27,47 +28,31 @@ SINGLE = [(1, 8), (2, 0), (0, 4), (3, 5)]
 """The sun, a texel beside the seam, one at the pole, one near the horizon."""
 
 
-class Lit:
-    """The floor under a sky, and the weighted mean of its image."""
+class Lit(Loss):
+    """The weighted mean of the image of the floor under a sky."""
 
-    weights = Float([1.5, 1.0, 0.5] * SIZE**2)
-
-    def __init__(self, integrator: str = "prb", **keys: Any) -> None:
+    def __init__(self, integrator: str = "prb", spp: int = 16, **keys: Any) -> None:
         sky = {"type": "envmap", "data": TEXELS, "to_world": T().rotate([0, 1, 0], 40), **keys}
         description = {"type": integrator, "max_depth": 4, "rr_depth": 1000}
         if integrator == "direct":
             description = {"type": integrator}
-        self.scene = djpt.load_dict(floor_scene({"light": sky}, size=SIZE, integrator=description))
-        self.params = djpt.traverse(self.scene)
+        scene = djpt.load_dict(floor_scene({"light": sky}, size=SIZE, integrator=description))
+        weights = np.broadcast_to(np.array([1.5, 1.0, 0.5], np.float32), (SIZE, SIZE, 3))
+        super().__init__(scene, [DATA, SCALE], weights, spp=spp)
 
-    def put(self, texels: np.ndarray, scale: float = 1.0) -> None:
-        halo = np.concatenate([texels[:, -1:], texels, texels[:, :1]], axis=1)
-        self.params.update({DATA: TensorXf(halo.astype(np.float32)), SCALE: scale})
+    def along(self, texels: np.ndarray, scale: float = 0.0) -> np.ndarray:
+        """A change of all, or the values; columns beyond the seam repeat those at the other end."""
+        entries = np.empty(self.values.size)
+        entries[self.parts[DATA]] = np.concatenate([texels[:, -1:], texels, texels[:, :1]], axis=1).ravel()
+        entries[self.parts[SCALE]] = scale
+        return entries
 
-    def loss(self, seed: int, spp: int = 16) -> Any:
-        image = djpt.render(self.scene, self.params, spp=spp, seed=seed, seed_grad=seed)
-        return dr.mean(image.array * self.weights)
-
-    def gradient(self, seed: int, spp: int = 16) -> tuple[np.ndarray, float]:
+    def gradient(self, seed: int) -> tuple[np.ndarray, float]:
         """In reverse mode: by the texels, and by the scale."""
-        for key in (DATA, SCALE):
-            dr.enable_grad(self.params[key])
-        self.params.update()
-        dr.backward(self.loss(seed, spp))
-        by_data, by_scale = np.array(dr.grad(self.params[DATA]), np.float64), float(dr.grad(self.params[SCALE])[0])
-        for key in (DATA, SCALE):
-            dr.disable_grad(self.params[key])
-        self.params.update()
+        found = self.reverse(seed)
+        by_data = found[self.parts[DATA]].reshape(ROWS, COLUMNS + 2, 3)
         assert not by_data[:, [0, -1]].any()  # the halo isn't read
-        return by_data[:, 1:-1], by_scale
-
-    def difference(self, along: np.ndarray, seed: int, step: float, spp: int = 16) -> float:
-        ends = []
-        for sign in (1, -1):
-            self.put(TEXELS + sign * step * along)
-            ends.append(float(self.loss(seed, spp)[0]))
-        self.put(TEXELS)
-        return (ends[0] - ends[1]) / (2 * step)
+        return by_data[:, 1:-1], float(found[self.parts[SCALE]][0])
 
 
 @pytest.fixture
@@ -93,42 +78,32 @@ def test_same_samples(integrator: str, keys: dict[str, Any], fixed_densities: An
     largest = np.abs(by_data).max()
     for where in [*BLOCKS, *SINGLE]:
         along = one(*where)
-        expected = lit.difference(along, 1, 0.1)
+        expected = lit.value(lit.difference(lit.along(along), 0.1, 1))
         assert (by_data * along).sum() == pytest.approx(expected, rel=0.01, abs=1e-4 * largest)
     # Light is linear in the texels and in the scale.
-    assert by_scale == pytest.approx(float(lit.loss(1)[0]), rel=1e-4)
+    assert by_scale == pytest.approx(lit.value(lit.image(1)), rel=1e-4)
     assert (by_data * TEXELS).sum() == pytest.approx(by_scale, rel=1e-4)
 
 
 def test_forward_is_reverse() -> None:
     lit = Lit()
     by_data, by_scale = lit.gradient(2)
-    along = np.random.default_rng(1).uniform(0.5, 1, (ROWS, COLUMNS + 2, 3))
-    for key, tangent, expected in (
-        (DATA, TensorXf(along.astype(np.float32)), (along[:, 1:-1] * by_data).sum()),
-        (SCALE, Float(1), by_scale),
-    ):
-        dr.enable_grad(lit.params[key])
-        dr.set_grad(lit.params[key], tangent)
-        lit.params.update()
-        found = float(dr.forward_to(lit.loss(2))[0])
-        dr.disable_grad(lit.params[key])
-        lit.params.update()
-        assert found == pytest.approx(expected, rel=1e-3)
+    along = np.random.default_rng(1).uniform(0.5, 1, TEXELS.shape)
+    for direction, expected in ((lit.along(along), (along * by_data).sum()), (lit.along(0 * along, 1), by_scale)):
+        assert lit.value(lit.forward(direction, 2)) == pytest.approx(expected, rel=1e-3)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("where", [BLOCKS[0], BLOCKS[2], BLOCKS[4], SINGLE[0], SINGLE[3]], ids=str)
 def test_moving_densities(where: Any) -> None:
     """Differences of scenes that sample by their own texels: within 1 % or 3 standard deviations."""
-    lit, along = Lit(), one(*where)
+    lit, along = Lit(spp=64), one(*where)
     found, expected = [], []
     for seed in range(24):
-        found.append((lit.gradient(seed, 64)[0] * along).sum())
-        expected.append(lit.difference(along, seed, 0.05, 64))
-    error = np.subtract(found, expected)
-    sigma = error.std(ddof=1) / np.sqrt(len(error))
-    assert abs(error.mean()) < max(3 * sigma, 0.01 * abs(np.mean(found)))
+        found.append((lit.gradient(seed)[0] * along).sum())
+        expected.append(lit.value(lit.difference(lit.along(along), 0.05, seed)))
+    error, sigma = mean_and_error(np.subtract(found, expected))
+    assert abs(error) < max(3 * sigma, 0.01 * abs(np.mean(found)))
 
 
 @pytest.mark.slow
@@ -137,23 +112,21 @@ def test_descending_the_gradient_finds_the_sky() -> None:
     lit = Lit()
     wanted = djpt.render(lit.scene, spp=256, seed=100)
     start = np.full(TEXELS.shape, 1.0)
-    lit.put(start)
+    lit.move(lit.along(start, 1))
     texels, first, speed = start, None, np.zeros(TEXELS.shape)
     square = np.zeros(TEXELS.shape)
     for step in range(1, 81):
-        dr.enable_grad(lit.params[DATA])
-        lit.params.update()
+        attached, _ = lit.attach()
         image = djpt.render(lit.scene, lit.params, spp=16, seed=step)
         loss = dr.mean(dr.square(image.array - wanted.array))
         dr.backward(loss)
-        slope = np.array(dr.grad(lit.params[DATA]), np.float64)[:, 1:-1]
-        dr.disable_grad(lit.params[DATA])
+        slope = np.array(dr.grad(attached), np.float64)[:, 1:-1]
         first = float(loss[0]) if first is None else first
         # Adam.
         speed, square = 0.9 * speed + 0.1 * slope, 0.99 * square + 0.01 * slope**2
         texels = texels - 0.15 * (speed / (1 - 0.9**step)) / (np.sqrt(square / (1 - 0.99**step)) + 1e-8)
         texels = np.maximum(texels, 1e-3)
-        lit.put(texels)
+        lit.move(lit.along(texels, 1))
     image = djpt.render(lit.scene, lit.params, spp=256, seed=100)
     last = float(dr.mean(dr.square(image.array - wanted.array))[0])
     print(f"loss {first:.5f} -> {last:.5f}")

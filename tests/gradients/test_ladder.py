@@ -10,7 +10,7 @@ import pytest
 import djpt
 from djpt.core.transforms import ScalarTransform4f as T
 from djpt.integrators import Integrator
-from tests.kit.image_gradients import ALBEDO, RADIANCE, Experiment
+from tests.kit.derivatives import ALBEDO, RADIANCE, Experiment
 from tests.kit.renders import box, spheres
 
 # Paths end by chance with probabilities that don't depend on albedos, so that those of finite differences agree.
@@ -87,7 +87,7 @@ def test_a_users_path_tracer_agrees_with_path_replay() -> None:
     """Its draws are those of `prb_basic`: the same image, and the same derivative."""
     mine = Experiment(box(16, "box", {"type": "three_bounces"}), [ALBEDO, RADIANCE], spp=64)
     replayed = Experiment(box(16, "box", {"type": "prb_basic", "max_depth": 4}), [ALBEDO, RADIANCE], spp=64)
-    ours, theirs = mine.reverse(), replayed.reverse()
+    ours, theirs = mine.gradients(), replayed.gradients()
     for name in (ALBEDO, RADIANCE):
         assert ours[name] == pytest.approx(theirs[name], rel=1e-3)
 

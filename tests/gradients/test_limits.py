@@ -5,7 +5,7 @@ Every plugin that images have derivatives by is here, or is named with the reaso
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ import pytest
 import djpt
 from djpt.description import registry
 from tests.kit import emitters, materials
-from tests.kit.limits import STEPS, ZEROS, Limits
+from tests.kit.derivatives import STEPS, ZEROS, Limits, differentiable
 from tests.kit.lit_floor import floor_scene
 from tests.kit.material_ball import ball
 from tests.kit.materials import bitmap, checks, rgb, texels
@@ -115,6 +115,12 @@ def scene_of(kind: str, plugin: str) -> tuple[dict[str, Any], str]:
     return in_fog(fog(rgb(0.5, 1.0, 2.0) if kind == "medium" else 1.0, albedo))
 
 
+def limits_of(description: dict[str, Any], prefix: str, spp: int = 512) -> Iterator[Limits]:
+    """Each parameter whose key begins with the prefix."""
+    scene = djpt.load_dict(description)
+    return (Limits(scene, key, spp) for key in differentiable(djpt.traverse(scene), prefix))
+
+
 CASES = [
     pytest.param(kind, plugin, id=f"{kind}-{plugin}", marks=() if plugin in FAST else pytest.mark.slow)
     for kind in KINDS
@@ -125,12 +131,12 @@ CASES = [
 
 @pytest.mark.parametrize(("kind", "plugin"), CASES)
 def test_ends_of_ranges(kind: str, plugin: str) -> None:
-    limits = Limits(*scene_of(kind, plugin), spp=4096 if plugin == "heterogeneous" else 512)
     verdicts = []
-    for key in limits.keys:
+    for limits in limits_of(*scene_of(kind, plugin), spp=4096 if plugin == "heterogeneous" else 512):
+        (key,) = limits.keys
         if not any(key.endswith(end) for name, end in EXCLUDED if name == plugin):
             steps = next((steps for end, steps in STEPS_OF.items() if key.endswith(f".{end}")), STEPS)
-            verdicts += limits.verdicts(key, steps=steps)
+            verdicts += limits.verdicts(steps=steps)
     print(plugin, *(text for _, text in verdicts), sep="\n  ")
     assert verdicts
     assert all(good for good, _ in verdicts), "\n".join(text for good, text in verdicts if not good)
@@ -138,9 +144,8 @@ def test_ends_of_ranges(kind: str, plugin: str) -> None:
 
 def test_wrong_derivatives_fail() -> None:
     """The test's power."""
-    limits = Limits(*scene_of("bsdf", "diffuse"))
-    (key,) = limits.keys
-    assert not any(good for good, _ in limits.verdicts(key, scale=1.1))
+    (limits,) = limits_of(*scene_of("bsdf", "diffuse"))
+    assert not any(good for good, _ in limits.verdicts(scale=1.1))
 
 
 def test_excluded_plugins_exist() -> None:
@@ -158,28 +163,27 @@ def test_vanishing_interfaces(roughness: float) -> None:
     surface count most, and where their reflectance nears 1 the slope falls: differences come close to it like the
     fourth root of the step. Rough surfaces have fewer such directions.
     """
-    limits = Limits(ball({"type": "principled", "roughness": roughness}, size=8), "ball.bsdf.specular", spp=2048)
-    (key,) = limits.keys
-    verdicts = limits.verdicts(key, steps=(1e-4, 1e-5, 1e-6))
+    scene = ball({"type": "principled", "roughness": roughness}, size=8)
+    (limits,) = limits_of(scene, "ball.bsdf.specular", spp=2048)
+    verdicts = limits.verdicts(steps=(1e-4, 1e-5, 1e-6))
     assert all(good for good, _ in verdicts), "\n".join(text for good, text in verdicts if not good)
-    assert not any(good for good, _ in limits.verdicts(key, scale=2.0, steps=(1e-4, 1e-5)))
+    assert not any(good for good, _ in limits.verdicts(scale=2.0, steps=(1e-4, 1e-5)))
 
 
 @pytest.mark.slow
 def test_refraction_at_vanishing_interfaces() -> None:
     """Below a `specular` of 0.001 derivatives of refracted light are those at 0.001."""
     material = {"type": "principled", "spec_trans": 0.6, "roughness": 0.5}
-    limits = Limits(ball(material, size=8), "ball.bsdf.specular")
-    (key,) = limits.keys
-    expected, error = limits.reverse(key, 1e-3)
+    (limits,) = limits_of(ball(material, size=8), "ball.bsdf.specular")
+    expected, error = limits.by_ad(1e-3)
     assert np.isfinite(expected) and error > 0
     for at in (*ZEROS, 1e-4):
-        assert limits.reverse(key, at)[0] == pytest.approx(expected, rel=1e-3)
+        assert limits.by_ad(at)[0] == pytest.approx(expected, rel=1e-3)
 
 
 def test_lights_that_are_black() -> None:
     """Emitters that shine with 0 are sampled as ever, and shadows fall on what they would light."""
-    limits = Limits(*scene_of("emitter", "area"))
-    slope, error = limits.difference("light.emitter.radiance.value", 0.0, 0.5)
-    found, noise = limits.reverse("light.emitter.radiance.value", 0.0)
+    limits = Limits(djpt.load_dict(scene_of("emitter", "area")[0]), "light.emitter.radiance.value")
+    slope, error = limits.by_differences(0.0, 0.5)
+    found, noise = limits.by_ad(0.0)
     assert abs(found - slope) < max(0.02 * slope, 4 * float(np.hypot(error, noise)))

@@ -13,11 +13,11 @@ import djpt
 from djpt.core.transforms import ScalarTransform4f as T
 from djpt.rendering.gradients import machine_replay
 from djpt.rendering.schedules import passes
+from tests.kit.derivatives import SEED, Experiment
 from tests.kit.mesh_scenes import gallery, uv_texture
-from tests.kit.renders import pixels
 from tests.kit.threads import threads
 
-SEED, SPP = 5, 8
+SPP = 8
 PRB = {"type": "prb", "max_depth": 5, "rr_depth": 1000}
 NAMES = [
     "floor.bsdf.reflectance.value",
@@ -34,60 +34,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("meshes")
 
 
-class Loss:
-    """sum(weights * image) and its derivatives by some colours."""
-
-    def __init__(self, scene: Any, names: list[str], schedule: str, spp: int = SPP) -> None:
-        self.scene, self.names = scene, names
-        self.params = djpt.traverse(scene)
-        self.options = {"spp": spp, "seed": SEED, "seed_grad": SEED, "schedule": schedule}
-        self.values = {name: np.array(self.params[name], np.float64).ravel() for name in names}
-        shape = pixels(self.image()).shape
-        self.weights = np.random.default_rng(1).uniform(0.5, 1.5, shape).astype(np.float32)
-
-    def image(self) -> Any:
-        return djpt.render(self.scene, self.params, **self.options)
-
-    def assign(self, name: str, value: np.ndarray) -> None:
-        self.params[name] = djpt.Color3f(*value.tolist())
-        self.params.update()
-
-    def attach(self) -> None:
-        for name in self.names:
-            dr.enable_grad(self.params[name])
-            self.params.set_dirty(name)
-        self.params.update()
-
-    def detach(self) -> None:
-        for name in self.names:
-            self.assign(name, self.values[name])
-
-    def reverse(self) -> dict[str, np.ndarray]:
-        self.attach()
-        dr.backward(dr.sum(self.image().array * djpt.Float(self.weights.ravel())))
-        result = {name: np.array(dr.grad(self.params[name]), np.float64).ravel() for name in self.names}
-        self.detach()
-        return result
-
-    def forward(self, name: str, component: int) -> np.ndarray:
-        self.attach()
-        tangent = np.zeros(3)
-        tangent[component] = 1
-        dr.set_grad(self.params[name], djpt.Color3f(*tangent.tolist()))
-        result = pixels(dr.forward_to(self.image()))
-        self.detach()
-        return result
-
-    def differences(self, name: str, component: int, step: float = 0.02) -> np.ndarray:
-        found = []
-        h = step * max(1.0, abs(self.values[name][component]))
-        for sign in (1, -1):
-            value = self.values[name].copy()
-            value[component] += sign * h
-            self.assign(name, value)
-            found.append(pixels(self.image()).astype(np.float64))
-        self.assign(name, self.values[name])
-        return (found[0] - found[1]) / (2 * h)
+def loss(scene: Any, names: list[str], schedule: str, spp: int = SPP, **options: Any) -> Experiment:
+    return Experiment(scene, names, spp, schedule=schedule, **options)
 
 
 def same(found: dict[str, np.ndarray], wanted: dict[str, np.ndarray], tolerance: float) -> None:
@@ -114,26 +62,25 @@ SLOW = ("gaussian", "crop")
 @pytest.mark.parametrize("kind", [pytest.param(k, marks=pytest.mark.slow if k in SLOW else ()) for k in SCENES])
 def test_reverse_forward_and_differences(folder: Path, kind: str) -> None:
     scene = djpt.load_dict(gallery(folder, **{"size": (24, 19), "integrator": PRB, **SCENES[kind]}))
-    machine, flat = Loss(scene, NAMES, "machine"), Loss(scene, NAMES, "flat")
-    reverse = machine.reverse()
+    machine, flat = loss(scene, NAMES, "machine"), loss(scene, NAMES, "flat")
+    reverse = machine.gradients()
     # One path in thousands may take another turn.
-    same(reverse, flat.reverse(), 2e-3)
+    same(reverse, flat.gradients(), 2e-3)
     for name in NAMES[::2]:
         scale = np.abs(reverse[name]).max()
-        by_difference = machine.differences(name, 1)
-        slope = float(np.sum(by_difference * machine.weights))
+        forward, by_difference = machine.changes(name, 1)
+        slope = machine.value(by_difference)
         assert reverse[name][1] == pytest.approx(slope, rel=3e-3, abs=3e-3 * scale)
-        forward = machine.forward(name, 1)
-        assert float(np.sum(forward * machine.weights)) == pytest.approx(reverse[name][1], rel=1e-4, abs=1e-4 * scale)
+        assert machine.value(forward) == pytest.approx(reverse[name][1], rel=1e-4, abs=1e-4 * scale)
         # A flipped decision spreads over 25 pixels under the gaussian.
-        for other in (by_difference, flat.forward(name, 1)):
+        for other in (by_difference, flat.forward(flat.component(name, 1), SEED)):
             assert np.mean(np.abs(forward - other) > 0.01 * np.abs(other).max()) < 0.05
 
 
 def test_uv_textures_beside_parameters(folder: Path) -> None:
     description = uv_texture(gallery(folder, (24, 19), integrator=PRB), "smooth", "flipped", "ball")
     scene, names = djpt.load_dict(description), [NAMES[0], NAMES[1], NAMES[4]]
-    same(Loss(scene, names, "machine").reverse(), Loss(scene, names, "flat").reverse(), 2e-3)
+    same(loss(scene, names, "machine").gradients(), loss(scene, names, "flat").gradients(), 2e-3)
 
 
 @pytest.mark.sparse(5)
@@ -142,7 +89,7 @@ def test_uv_textures_beside_parameters(folder: Path) -> None:
 def test_small_images_and_sample_counts(folder: Path, size: tuple[int, int], rfilter: str) -> None:
     scene = djpt.load_dict(gallery(folder, size, rfilter, {**PRB, "max_depth": 3}))
     for spp in (1, 3, 33):
-        machine, flat = (Loss(scene, NAMES[:1] + NAMES[4:5], s, spp).reverse() for s in ("machine", "flat"))
+        machine, flat = (loss(scene, NAMES[:1] + NAMES[4:5], s, spp).gradients() for s in ("machine", "flat"))
         for name, gradient in flat.items():
             np.testing.assert_allclose(machine[name], gradient, rtol=1e-4, atol=1e-4 * np.abs(gradient).max() + 1e-9)
 
@@ -174,46 +121,48 @@ def test_paths_longer_than_what_is_noted(folder: Path, depth: int, monkeypatch: 
     names = ["red.reflectance.value", white, light]
     limit = {"rr_depth": 150} if depth < 0 else {}
     scene = djpt.load_dict(bright_room(folder, max_depth=depth, **limit))
-    machine = Loss(scene, names, "machine", 4)
-    reverse = machine.reverse()
+    machine = loss(scene, names, "machine", 4)
+    reverse = machine.gradients()
     # The image is linear in the light.
-    total = float(np.sum(pixels(machine.image()).astype(np.float64) * machine.weights))
-    assert reverse[light] @ machine.values[light] == pytest.approx(total, rel=1e-4)
-    assert float(np.sum(machine.forward(white, 0) * machine.weights)) == pytest.approx(reverse[white][0], rel=1e-3)
+    total, along = machine.value(machine.image(SEED)), machine.component(white, 0)
+    assert reverse[light] @ machine.values[machine.parts[light]] == pytest.approx(total, rel=1e-4)
+    assert machine.value(machine.forward(along, SEED)) == pytest.approx(reverse[white][0], rel=1e-3)
     if depth > 0:
-        slope = float(np.sum(machine.differences(white, 0, 5e-4) * machine.weights))
+        slope = machine.value(machine.difference(along, 5e-4, SEED))
         assert reverse[white][0] == pytest.approx(slope, rel=5e-3)
     monkeypatch.setattr(machine_replay, "NOTED", 16)
-    same(Loss(scene, names, "machine", 4).reverse(), reverse, 1e-3)
+    same(loss(scene, names, "machine", 4).gradients(), reverse, 1e-3)
     if depth > 0:
         # Rounding grows from bounce to bounce: so long paths of two schedules go apart.
-        same(Loss(scene, names, "flat", 4).reverse(), reverse, 0.03)
+        same(loss(scene, names, "flat", 4).gradients(), reverse, 0.03)
 
 
 def test_much_comes_from_long_paths(folder: Path) -> None:
     """Otherwise the test above would test nothing."""
     name = "white.reflectance.value"
     short, long = (djpt.load_dict(bright_room(folder, max_depth=n)) for n in (machine_replay.NOTED, 150))
-    one, other = (Loss(scene, [name], "machine", 4).reverse()[name] for scene in (short, long))
+    one, other = (loss(scene, [name], "machine", 4).gradients()[name] for scene in (short, long))
     assert (one < 0.8 * other).all()
 
 
 def test_passes_do_not_matter(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     scene = djpt.load_dict(gallery(folder, (24, 19), "gaussian", PRB))
-    whole = Loss(scene, NAMES, "machine").reverse()
-    forward = Loss(scene, NAMES, "machine").forward(NAMES[0], 0)
+    machine = loss(scene, NAMES, "machine")
+    whole, along = machine.gradients(), machine.component(NAMES[0], 0)
+    forward = machine.forward(along, SEED)
     for key, value in (("STORED_SAMPLES", 3 * 24 * 19), ("STORED_PIXELS", (7 * 28, 7 * 28))):
         monkeypatch.setattr(passes, key, value)
-        same(Loss(scene, NAMES, "machine").reverse(), whole, 2e-5)
-        np.testing.assert_allclose(Loss(scene, NAMES, "machine").forward(NAMES[0], 0), forward, rtol=1e-4, atol=1e-5)
+        same(machine.gradients(), whole, 2e-5)
+        np.testing.assert_allclose(machine.forward(along, SEED), forward, rtol=1e-4, atol=1e-5)
 
 
 def test_gradients_repeat(folder: Path) -> None:
     scene = djpt.load_dict(gallery(folder, (24, 19), integrator=PRB))
-    first = Loss(scene, NAMES, "machine").reverse()
+    machine = loss(scene, NAMES, "machine")
+    first = machine.gradients()
     for count in (1, 2):
         with threads(count):
-            again = Loss(scene, NAMES, "machine").reverse()
+            again = machine.gradients()
         for name, gradient in first.items():
             np.testing.assert_array_equal(again[name], gradient, err_msg=name)
 
@@ -223,11 +172,10 @@ def test_gradients_of_mitsuba(folder: Path, rfilter: str) -> None:
     mi = pytest.importorskip("mitsuba")
     mi.set_variant("llvm_ad_rgb")
     description = gallery(folder, (24, 19), rfilter, {"type": "prb", "max_depth": 5, "rr_depth": 3})
-    ours = Loss(djpt.load_dict(description, optimize=False), NAMES, "machine")
     # Mitsuba refuses equal seeds for image and gradient.
-    ours.options["seed_grad"] = SEED + 1
-    reverse = ours.reverse()
-    forward = ours.forward(NAMES[1], 0)
+    ours = loss(djpt.load_dict(description, optimize=False), NAMES, "machine", seed_grad=SEED + 1)
+    reverse = ours.gradients()
+    forward = ours.forward(ours.component(NAMES[1], 0), SEED)
 
     scene = mi.load_dict(djpt.validation.to_mitsuba(description), optimize=False)
     params = mi.traverse(scene)
@@ -240,7 +188,7 @@ def test_gradients_of_mitsuba(folder: Path, rfilter: str) -> None:
     params.update()
     weights = mi.TensorXf(ours.weights)
     options = {"spp": SPP, "seed": SEED, "seed_grad": SEED + 1}
-    dr.backward(dr.sum((mi.render(scene, params, **options) * weights).array))
+    dr.backward(dr.mean((mi.render(scene, params, **options) * weights).array))
     for name, key in keys.items():
         theirs = np.array(dr.grad(params[key]), np.float64).ravel()
         np.testing.assert_allclose(reverse[name], theirs, rtol=2e-3, atol=2e-3 * np.abs(theirs).max(), err_msg=name)

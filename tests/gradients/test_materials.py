@@ -17,10 +17,11 @@ import djpt
 from djpt.core.records import BSDFContext, BSDFFlags, SurfaceInteraction3f, has_flag
 from djpt.core.warp import square_to_uniform_sphere
 from djpt.jit.types import Float, Point2f, UInt32, Vector3f
+from djpt.validation.gradcheck.losses import quotient
 from tests.kit.chi_squared import uniform
+from tests.kit.derivatives import Slopes, differentiable, numbers
 from tests.kit.material_ball import ball
 from tests.kit.materials import NAMES, bsdf, cases, first_of_each, in_kernel, interaction
-from tests.kit.slopes import Slopes, numbers
 
 # ---------------------------------------------------------------- values, direction by direction
 
@@ -40,7 +41,7 @@ class BSDFSlopes:
     def __init__(self, name: str) -> None:
         self.bsdf = djpt.load_dict(bsdf(name))
         self.params = djpt.traverse(self.bsdf)
-        self.keys = [key for key in self.params if self.params.flags(key).differentiable]
+        self.keys = differentiable(self.params)
         rng = np.random.default_rng(3)
         # Off the ends of all ranges, so that there is room for a step on both sides; lobes that are off are on then.
         self.at = {key: 0.85 * numbers(self.params[key]) + 0.05 for key in self.keys}
@@ -89,12 +90,14 @@ class BSDFSlopes:
 
     def difference(self, key: str, delta: bool, step: float) -> np.ndarray:
         """By a central difference."""
-        ends = []
-        for sign in (1, -1):
-            self.put({key: self.at[key] + sign * step * self.along[key]})
-            ends.append(np.array(self.value(delta), np.float64))
+
+        def at(length: float) -> np.ndarray:
+            self.put({key: self.at[key] + length * self.along[key]})
+            return np.array(self.value(delta), np.float64)
+
+        found = quotient(at, step)
         self.put({key: self.at[key]})
-        return (ends[0] - ends[1]) / (2 * step)
+        return found
 
 
 def surface() -> SurfaceInteraction3f:
@@ -201,19 +204,13 @@ class ImageSlopes(Slopes):
         description = ball(bsdf(name), self.size, "prb")
         # Roulette follows the brightest channel: differences then see it only where a decision flips, which is rare.
         description["integrator"]["rr_depth"] = 1000
-        super().__init__(description, schedule)
-        self.keys = [
-            key
-            for key in self.params
-            if key.startswith("ball.bsdf") and self.params.flags(key).differentiable and key not in JUMPS.get(name, ())
-        ]
-        rng = np.random.default_rng(3)
-        for key in self.keys:
-            value = numbers(self.params[key])
-            # Off the ends of all ranges, so that there is room for a step on both sides.
-            self.at[key] = 0.9 * value + 0.03
-            self.along[key] = rng.uniform(0.5, 1, value.shape)
-        self.put(self.at)
+        scene = djpt.load_dict(description)
+        params, rng = djpt.traverse(scene), np.random.default_rng(3)
+        # Off the ends of all ranges, so that there is room for a step on both sides.
+        at = {
+            key: 0.9 * numbers(params[key]) + 0.03 for key in differentiable(params, "ball.bsdf", JUMPS.get(name, ()))
+        }
+        super().__init__(scene, at, {key: rng.uniform(0.5, 1, value.shape) for key, value in at.items()}, schedule)
 
 
 # Dozens of images each, more than ten seconds: values are differentiated above, images in files of theirs.
@@ -236,7 +233,7 @@ def test_schedules_agree(name: str) -> None:
     pair = [ImageSlopes(name, schedule) for schedule in ("flat", "wave")]
     if not pair[0].keys:
         pytest.skip("no parameter has a gradient")
-    flat, wave = (slopes.attached(1) for slopes in pair)
+    flat, wave = (slopes.slopes(1) for slopes in pair)
     largest = max(map(abs, flat.values()))
     for key, slope in flat.items():
         assert wave[key] == pytest.approx(slope, rel=1e-3, abs=1e-4 * largest), key

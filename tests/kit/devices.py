@@ -128,7 +128,7 @@ def instances(folder: Path) -> dict[str, Any]:
 
 def gradients(folder: Path) -> dict[str, np.ndarray]:
     """The derivatives of `GRADIENTS`."""
-    from tests.kit.image_gradients import ALBEDO, RADIANCE, Experiment
+    from tests.kit.derivatives import ALBEDO, RADIANCE, SEED, Experiment
     from tests.kit.mesh_scenes import gallery
     from tests.kit.renders import box, spheres
     from tests.kit.textured_room import FLOOR, bitmap, room, texels
@@ -140,12 +140,13 @@ def gradients(folder: Path) -> dict[str, np.ndarray]:
         scene["small-sphere"]["bsdf"] = gold
 
     def reverse(description: dict[str, Any], name: str) -> np.ndarray:
-        return Experiment(description, [name]).reverse()[name]
+        return Experiment(description, [name]).gradients()[name]
 
+    radiance = Experiment(box(24, integrator=prb), [RADIANCE])
     return {
         "albedo": reverse(box(integrator=prb), ALBEDO),
         "albedo, gaussian filter": reverse(box(24, "gaussian", prb), ALBEDO),
-        "radiance, forward": Experiment(box(24, integrator=prb), [RADIANCE]).forward(RADIANCE, 0),
+        "radiance, forward": radiance.forward(radiance.component(RADIANCE, 0), SEED),
         "roughness": one_number(box(24, integrator=prb, edit=golden), "small-sphere.bsdf.alpha.value"),
         "texels": one_number(room(bitmap(texels(3, 4, 3)), 0.5, "prb"), f"{FLOOR}.data"),
         "on meshes": reverse(gallery(folder, (24, 24), integrator=prb), "floor.bsdf.reflectance.value"),

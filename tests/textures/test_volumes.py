@@ -9,7 +9,7 @@ import pytest
 
 import djpt
 from djpt.errors import SceneError
-from tests.kit.slopes import Slopes
+from tests.kit.derivatives import Slopes
 
 NUMBERS = np.random.default_rng(6).random((3, 4, 5, 3), dtype=np.float32)
 
@@ -84,29 +84,21 @@ def test_an_edit_changes_the_choice_of_lamps() -> None:
     np.testing.assert_array_equal(after, fresh)
 
 
-class Paint(Slopes):
+def paint(channels: int, schedule: str) -> Slopes:
     """The slope by the numbers of the ball's paint, of one channel or of three."""
-
-    def __init__(self, channels: int, schedule: str) -> None:
-        super().__init__(ball(numbers=NUMBERS[..., :channels].copy()), schedule)
-        self.keys = ["ball.bsdf.reflectance.volume.data"]
-        self.at = {self.keys[0]: 0.2 + 0.5 * NUMBERS[..., :channels]}
-        self.along = {self.keys[0]: np.random.default_rng(1).random(self.at[self.keys[0]].shape) / 2}
-
-    def put(self, values: dict[str, Any]) -> None:
-        for key, value in values.items():
-            self.params[key] = djpt.TensorXf(np.asarray(value, np.float32))
-        self.params.update()
+    key, numbers = "ball.bsdf.reflectance.volume.data", NUMBERS[..., :channels].copy()
+    along = np.random.default_rng(1).random(numbers.shape) / 2
+    return Slopes(djpt.load_dict(ball(numbers=numbers)), {key: 0.2 + 0.5 * numbers}, {key: along}, schedule)
 
 
 @pytest.mark.sparse(3)
 @pytest.mark.parametrize("schedule", ["flat", "wave"])
 @pytest.mark.parametrize("channels", [1, 3])
 def test_gradients_of_numbers(channels: int, schedule: str) -> None:
-    paint = Paint(channels, schedule)
-    good, text = paint.check(paint.keys[0], {})
+    slopes = paint(channels, schedule)
+    good, text = slopes.check(slopes.keys[0], {})
     assert good, text
-    wrong, _ = paint.check(paint.keys[0], {}, factor=1.1)
+    wrong, _ = slopes.check(slopes.keys[0], {}, factor=1.1)
     assert not wrong
 
 

@@ -127,19 +127,8 @@ class Step:
         Of fourth order (central) or third; and how much halving the step changed the loss's derivative: the truncation
         error is a fraction of it.
         """
-        coarse, fine = self._slope(self.size, seed), self._slope(self.size / 2, seed)
+        coarse, fine = (self.loss.difference(self.direction, h, seed, self.sides) for h in (self.size, self.size / 2))
         return (4 * fine - coarse) / 3, abs(self.loss.value(fine) - self.loss.value(coarse))
-
-    def _slope(self, size: float, seed: int) -> Floats:
-        """The derivative by differences of second order."""
-
-        def at(steps: float) -> Floats:
-            return self.loss.image_at(self.loss.values + steps * size * self.direction, seed)
-
-        if self.sides == 0:
-            return (at(1) - at(-1)) / (2 * size)
-        side = self.sides
-        return side * (4 * at(side) - 3 * at(0) - at(2 * side)) / (2 * size)
 
 
 def choose_step(loss: Loss, direction: Floats) -> Step:
@@ -155,7 +144,7 @@ def choose_step(loss: Loss, direction: Floats) -> Step:
             if all(loss.allows(loss.values + steps * size * direction) for steps in reach):
                 return Step(loss, direction, size, sides)
         size /= 2
-    raise ParameterError(f"{loss.key}: can't be changed from {loss.values[direction != 0][:4].tolist()}")
+    raise ParameterError(f"{loss.keys[0]}: can't be changed from {loss.values[direction != 0][:4].tolist()}")
 
 
 # ---- directions ------------------------------------------------------------------------------
@@ -347,7 +336,7 @@ def check_gradient(
     most_seeds = max(seeds, check_count("most_seeds", most_seeds))
     with watched(progress, "checking", "renders") as shown:
         loss = loss_of(description, key, spp, sensor, first)
-        theirs, notes = mitsuba_loss(description, loss, mitsuba)
+        theirs, notes = mitsuba_loss(description, key, spp, sensor, loss, mitsuba)
         numbers = np.random.SeedSequence([first, 5]).generate_state(2 * most_seeds).tolist()
         directions = directions_of(loss.inward(), loss.reverse(numbers[0]), samples, first)
         record = Record(loss, theirs, [(d, choose_step(loss, d.vector)) for d in directions])
@@ -372,13 +361,13 @@ def check_gradient(
 
 
 def mitsuba_loss(
-    description: Mapping[str, Any], loss: Loss, wanted: bool | None
+    description: Mapping[str, Any], key: str, spp: int, sensor: int, loss: Loss, wanted: bool | None
 ) -> tuple[MitsubaLoss | None, list[str]]:
     """The loss in Mitsuba, or a note that says why there is none."""
     if wanted is False:
         return None, ["not compared with Mitsuba"]
     try:
-        return MitsubaLoss(description, loss.key, loss.spp, loss.sensor, loss), []
+        return MitsubaLoss(description, key, spp, sensor, loss), []
     except (BackendError, ComparisonError) as error:
         if wanted:
             raise

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import drjit as dr
@@ -15,13 +15,15 @@ from djpt.description.loader import load_dict
 from djpt.description.parameters import traverse
 from djpt.description.plugin import ParamFlags
 from djpt.errors import ParameterError
-from djpt.jit.types import Float, UInt32
+from djpt.jit.kernels import own_floats
+from djpt.jit.types import Float, TensorXf, UInt32
 from djpt.rendering.render import render
+from djpt.scene.scene import Scene
 from djpt.scenes.overrides import override
 from djpt.validation.bridge import mitsuba_scene
 from djpt.validation.metrics import ComparisonError
 
-__all__ = ["Loss", "MitsubaLoss", "MotionLoss", "loss_of", "weights"]
+__all__ = ["Loss", "MitsubaLoss", "MotionLoss", "loss_of", "quotient", "random_weights"]
 
 NEAR_ZERO = 1e-6
 """Entries below this are taken for zero."""
@@ -32,53 +34,110 @@ NEAR_END = 1e-3
 Floats = npt.NDArray[np.float64]
 
 
-def weights(shape: tuple[int, ...], seed: int) -> npt.NDArray[np.float32]:
+def random_weights(shape: tuple[int, ...], seed: int) -> npt.NDArray[np.float32]:
     """The weights of pixels in a loss: random numbers from 0.5 to 1.5, so that no errors of pixels cancel."""
     return np.random.default_rng([seed, 77]).uniform(0.5, 1.5, shape).astype(np.float32)
 
 
-class Loss:
-    """The loss L = mean(weights * image) as a function of a parameter, in djpt.
+def quotient(function: Callable[[float], Any], step: float, side: int = 0) -> Any:
+    """The derivative of a function of a number at 0 by differences, of second order in the step.
 
-    Images and derivatives of one seed follow the same paths, so their noise is nearly the same.
+    `side`: 0 for central differences, from two values; 1 or -1 for one side alone, from three.
+    """
+    if side == 0:
+        return (function(step) - function(-step)) / (2 * step)
+    return side * (4 * function(side * step) - 3 * function(0.0) - function(2 * side * step)) / (2 * step)
+
+
+def typed(kind: Any, shape: tuple[int, ...], entries: Floats) -> Any:
+    """A parameter with these entries, in memory of Dr.Jit's own: no kernel depends on its place."""
+    if dr.is_tensor_v(kind):
+        return kind(own_floats(entries.astype(np.float32)), shape)
+    if entries.size == (dr.size_v(kind) if dr.depth_v(kind) > 1 else 1):
+        return kind(*entries.tolist())
+    if dr.depth_v(kind) == 1:
+        return kind(own_floats(entries.astype(np.float32)))
+    return kind(np.ascontiguousarray(entries.reshape(shape), np.float32))
+
+
+class Loss:
+    """The loss L = mean(weights * image) of a scene as a function of some of its parameters, in djpt.
+
+    The variable is the vector of all their entries, those of one parameter after the other. Images and derivatives of
+    one seed follow the same paths, so their noise is nearly the same.
+
+    Args:
+        scene: The scene, whose parameters are edited.
+        keys: The parameters.
+        weights: The weights of the image's entries, (H, W, C) or what can be broadcast to it. Default: random numbers,
+            see `random_weights`.
+        seed: The seed of the random weights.
+        derivatives: Options of `render` that differ where an image is differentiated.
+        options: Options of `render`, such as `spp`, `sensor`, and `schedule`.
 
     Raises:
         ParameterError: There is no such parameter, or it has no derivatives.
     """
 
-    def __init__(self, scene: Mapping[str, Any], key: str, spp: int, sensor: int, seed: int) -> None:
-        self.key, self.spp, self.sensor = key, spp, sensor
-        self.scene = load_dict(scene, optimize=False)  # as Mitsuba's, whose names need it
-        self.params = traverse(self.scene)
-        value = self._start()
-        if not self.params.flags(key).differentiable or not dr.is_array_v(value):
-            raise ParameterError(f"{key}: has no derivatives")
-        self.kind, self.shape = type(value), np.shape(np.array(value))
-        self.values: Floats = np.array(value, np.float64).ravel()
-        """The entries of the parameter where it is checked, (n,)."""
-        first = self.image(0)
-        if not first.size:
-            raise ComparisonError("the integrator makes no channels to check")
-        self.weights = weights(first.shape, seed)
+    def __init__(
+        self,
+        scene: Scene,
+        keys: Sequence[str],
+        weights: npt.NDArray[np.float32] | None = None,
+        seed: int = 0,
+        derivatives: Mapping[str, Any] | None = None,
+        **options: Any,
+    ) -> None:
+        self.scene, self.keys, self.options = scene, tuple(keys), options
+        self.derivatives = derivatives or {}
+        self.params = traverse(scene)
+        start = [self._start(key) for key in self.keys]
+        for key, value in zip(self.keys, start, strict=True):
+            if not self.params.flags(key).differentiable or not dr.is_array_v(value):
+                raise ParameterError(f"{key}: has no derivatives")
+        arrays = [np.array(value, np.float64) for value in start]
+        self.kinds = [(type(value), array.shape) for value, array in zip(start, arrays, strict=True)]
+        self.values: Floats = np.concatenate([array.ravel() for array in arrays]) if arrays else np.zeros(0)
+        """The entries of the parameters where the loss is differentiated, (n,)."""
+        ends = np.cumsum([0, *(array.size for array in arrays)]).tolist()
+        self.parts = {key: slice(*ends[i : i + 2]) for i, key in enumerate(self.keys)}
+        """The entries of each parameter."""
+        self._now: list[Floats | None] = [self.values[part] for part in self.parts.values()]
+        if weights is None:
+            first = self.image(0)
+            if not first.size:
+                raise ComparisonError("the integrator makes no channels to check")
+            weights = random_weights(first.shape, seed)
+        self.weights = weights
+        self._weights = TensorXf(own_floats(weights.astype(np.float32)), weights.shape)
 
-    def _start(self) -> Any:
+    def _start(self, key: str) -> Any:
         """The parameter where it is checked."""
-        return self.params[self.key]
+        return self.params[key]
+
+    def move(self, entries: Floats) -> None:
+        """Give the parameters other entries, where the loss is differentiated then."""
+        self._assign(entries)
+        self.values = entries
 
     def image(self, seed: int) -> npt.NDArray[np.float32]:
         """The image, (H, W, C)."""
         return np.array(self._rendered(seed), np.float32)
 
-    def image_at(self, entries: Floats, seed: int) -> npt.NDArray[np.float64]:
-        """The image for other entries of the parameter."""
-        self._assign(entries)
-        try:
+    def difference(self, direction: Floats, step: float, seed: int, side: int = 0) -> npt.NDArray[np.float64]:
+        """The derivative of the image in a direction by differences, (H, W, C); see `quotient`."""
+
+        def at(length: float) -> npt.NDArray[np.float64]:
+            self._assign(self.values + length * direction)
             return self.image(seed).astype(np.float64)
+
+        try:
+            return quotient(at, step, side)
         finally:
             self._assign(self.values)
 
     def allows(self, entries: Floats) -> bool:
-        """True if the parameter can have these entries."""
+        """True if the parameters can have these entries."""
         try:
             self._assign(entries)
         except ParameterError:
@@ -88,7 +147,7 @@ class Loss:
         return True
 
     def inward(self) -> Floats:
-        """The direction into the parameter's range for entries at its ends, 1 or -1, and 0 for the others, (n,)."""
+        """The direction into the parameters' range for entries at its ends, 1 or -1, and 0 for the others, (n,)."""
         found = np.zeros_like(self.values)
         for sign, end in ((1.0, self.values.min()), (-1.0, self.values.max())):
             at_end = np.abs(self.values - end) <= NEAR_END
@@ -100,43 +159,53 @@ class Loss:
         """The loss of an image."""
         return float(np.mean(np.asarray(image, np.float64) * self.weights))
 
+    def attached(self, seed: int) -> Any:
+        """The loss with its gradients, whose derivatives the variables of `attach` get."""
+        return dr.mean(self._rendered(seed, self.derivatives) * self._weights, axis=None)
+
     def reverse(self, seed: int) -> Floats:
         """The derivative of the loss with respect to each entry, by reverse mode, (n,)."""
-        self._attach()
+        variables = self.attach()
         try:
-            image = self._rendered(seed)
-            dr.backward(dr.mean(image * type(image)(self.weights), axis=None))
-            return np.array(dr.grad(self.variable()), np.float64).ravel()
+            dr.backward(self.attached(seed))
+            return np.concatenate([np.array(dr.grad(variable), np.float64).ravel() for variable in variables])
         finally:
             self._assign(self.values)
 
     def forward(self, direction: Floats, seed: int) -> npt.NDArray[np.float64]:
         """The derivative of the image in a direction, by forward mode, (H, W, C)."""
-        self._attach()
+        variables = self.attach()
         try:
-            dr.set_grad(self.variable(), self._typed(direction))
-            return np.array(dr.forward_to(self._rendered(seed)), np.float64)
+            for variable, (kind, shape), part in zip(variables, self.kinds, self.parts.values(), strict=True):
+                tangent = typed(kind, shape, direction[part])
+                dr.make_opaque(tangent)
+                dr.set_grad(variable, tangent)
+            return np.array(dr.forward_to(self._rendered(seed, self.derivatives)), np.float64)
         finally:
             self._assign(self.values)
 
-    def variable(self) -> Any:
-        """The variable with the entries, which has gradients while the loss is differentiated."""
-        return self.params[self.key]
+    def attach(self) -> list[Any]:
+        """Give the parameters gradients, and return the variables that have them, until entries are assigned."""
+        self._assign(self.values)
+        self._now = [None] * len(self.keys)
+        for key in self.keys:
+            dr.enable_grad(self.params[key])
+            self.params.set_dirty(key)
+        self.params.update()
+        return [self.params[key] for key in self.keys]
 
-    def _rendered(self, seed: int) -> Any:
+    def _rendered(self, seed: int, others: Mapping[str, Any] | None = None) -> Any:
         # One seed for image and gradient: the same paths.
-        return render(self.scene, self.params, sensor=self.sensor, spp=self.spp, seed=seed, seed_grad=seed)
-
-    def _typed(self, entries: Floats) -> Any:
-        return self.kind(np.ascontiguousarray(entries.reshape(self.shape), np.float32))
+        options = {"seed": seed, "seed_grad": seed, **self.options, **(others or {})}
+        return render(self.scene, self.params, **options)
 
     def _assign(self, entries: Floats) -> None:
-        self.params[self.key] = self._typed(entries)
-        self.params.update()
-
-    def _attach(self) -> None:
-        self._assign(self.values)
-        dr.enable_grad(self.params[self.key])
+        for i, (key, part) in enumerate(self.parts.items()):
+            now = self._now[i]
+            if now is None or not np.array_equal(entries[part], now):
+                self._now[i] = None
+                self.params[key] = typed(*self.kinds[i], entries[part])
+                self._now[i] = entries[part].copy()
         self.params.update()
 
 
@@ -147,24 +216,22 @@ class MotionLoss(Loss):
     through the place, in radians.
     """
 
-    def _start(self) -> Any:
-        if not self.params.flags(self.key).differentiable:
-            raise ParameterError(f"{self.key}: has no derivatives")
-        self._base = Transform4f(self.params[self.key])
+    def _start(self, key: str) -> Any:
+        if not self.params.flags(key).differentiable:
+            raise ParameterError(f"{key}: has no derivatives")
+        self._base = Transform4f(self.params[key])
         self._theta = dr.zeros(Float, 6)
         return self._theta
 
-    def variable(self) -> Any:
-        return self._theta
-
     def _assign(self, entries: Floats) -> None:
-        self._theta = self._typed(entries)
+        self._theta = Float(own_floats(entries.astype(np.float32)))
         self._place()
 
-    def _attach(self) -> None:
-        self._theta = self._typed(self.values)
+    def attach(self) -> list[Any]:
+        self._theta = Float(own_floats(self.values.astype(np.float32)))
         dr.enable_grad(self._theta)
         self._place()
+        return [self._theta]
 
     def _place(self) -> None:
         entries = [dr.gather(Float, self._theta, UInt32(i)) for i in range(6)]
@@ -174,14 +241,15 @@ class MotionLoss(Loss):
         for axis, angle in zip(np.eye(3).tolist(), entries[3:], strict=True):
             turned = turned @ Transform4f().rotate(axis, angle * (180 / math.pi))
         back = turned @ Transform4f().translate([-c for c in center])
-        self.params[self.key] = Transform4f().translate(entries[:3]) @ back @ self._base
+        self.params[self.keys[0]] = Transform4f().translate(entries[:3]) @ back @ self._base
         self.params.update()
 
 
 def loss_of(scene: Mapping[str, Any], key: str, spp: int, sensor: int, seed: int) -> Loss:
     """The loss as a function of a parameter, or, if it is a transform, of a motion."""
     kind = MotionLoss if key.rpartition(".")[2] == "to_world" else Loss
-    return kind(scene, key, spp, sensor, seed)
+    # Not optimised, as Mitsuba's, whose names need it.
+    return kind(load_dict(scene, optimize=False), [key], seed=seed, spp=spp, sensor=sensor)
 
 
 REPLAYING = {"path": "prb", "volpath": "prbvolpath", "volpathmis": "prbvolpath"}
