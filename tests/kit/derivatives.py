@@ -21,6 +21,7 @@ __all__ = [
     "Experiment",
     "Limits",
     "Slopes",
+    "by_both",
     "differentiable",
     "mean_and_error",
     "numbers",
@@ -46,6 +47,16 @@ def numbers(value: Any) -> np.ndarray:
     """A parameter as NumPy numbers: (), (3,) or a tensor's shape."""
     array = np.array(dr.detach(value), np.float64)
     return array if dr.is_tensor_v(value) else array.ravel() if dr.depth_v(value) > 1 else array.reshape(())
+
+
+def by_both(
+    scene: djpt.Scene, key: str, step: float, along: Any = 1.0, seed: int = SEED, **options: Any
+) -> tuple[float, float]:
+    """The derivative of the sum of an image in a direction of a parameter: by reverse mode, and by differences."""
+    loss = Loss(scene, [key], np.ones((1, 1, 1), np.float32), **options)
+    direction = np.broadcast_to(np.asarray(along, np.float64), loss.values.shape)
+    change = loss.difference(direction, step, seed)
+    return change.size * float(loss.reverse(seed) @ direction), float(change.sum())
 
 
 # ---------------------------------------------------------------- one seed, component by component

@@ -11,6 +11,7 @@ import pytest
 import djpt
 from djpt.core.transforms import ScalarTransform4f as T
 from djpt.jit.types import Float
+from tests.kit.derivatives import by_both
 from tests.kit.renders import ours, pixels
 from tests.kit.smooth_materials import wide
 
@@ -112,21 +113,10 @@ def test_gradient(inside: dict[str, Any]) -> None:
     loaded = djpt.load_dict(
         scene([0, 0, 6], sky=SKY, ball={"type": "sphere", "radius": 2.0, "bsdf": glass()}, **inside)
     )
-    params = djpt.traverse(loaded)
-    key = next(k for k in params if "absorption" in k)
-
-    def loss(value: Any) -> Any:
-        params[key] = value
-        params.update()
-        return dr.mean(djpt.render(loaded, params, spp=64, seed=3, seed_grad=3), axis=None)
-
-    attached = djpt.Color3f(SIGMA)
-    dr.enable_grad(attached)
-    dr.backward(loss(attached))
-    step = 1e-2
-    for c, change in enumerate(step * np.eye(3)):
-        above, below = (float(np.array(loss(djpt.Color3f((SIGMA + sign * change).tolist())))) for sign in (1, -1))
-        assert dr.grad(attached)[c][0] == pytest.approx((above - below) / (2 * step), rel=0.02)
+    key = next(k for k in djpt.traverse(loaded) if "absorption" in k)
+    for along in np.eye(3):
+        found, expected = by_both(loaded, key, 1e-2, along, spp=64)
+        assert found == pytest.approx(expected, rel=0.02)
 
 
 def test_clear_glass_costs_nothing() -> None:

@@ -16,7 +16,8 @@ from djpt.jit.types import Float, Normal3f, Point2f, Point3f, Vector3f
 from djpt.validation import agreement
 from djpt.validation.bridge import to_mitsuba
 from tests.kit.arrays import floats, in_numpy, rows
-from tests.kit.renders import box, ours, pixels
+from tests.kit.derivatives import by_both
+from tests.kit.renders import box, ours
 
 COUNT = 4096
 
@@ -248,24 +249,7 @@ def sheet(bsdf: dict[str, Any]) -> Any:
 
 def slopes(bsdf: dict[str, Any], name: str, h: float, spp: int) -> tuple[float, float]:
     """The derivative of the sum of a picture of `sheet`, by path replay and by central differences."""
-    scene = sheet(bsdf)
-    params, key = djpt.traverse(scene), f"sheet.bsdf.{name}"
-    options = {"spp": spp, "seed": 1, "seed_grad": 1}
-    start = np.array(params[key], np.float64).ravel()
-
-    def loss(change: float) -> float:
-        moved = (start + change).tolist()
-        params[key] = moved if len(moved) > 1 else moved[0]
-        params.update()
-        return float(pixels(djpt.render(scene, params, **options)).astype(np.float64).sum())
-
-    slope = (loss(h) - loss(-h)) / (2 * h)
-    loss(0)
-    dr.enable_grad(params[key])
-    params.set_dirty(key)
-    params.update()
-    dr.backward(dr.sum(djpt.render(scene, params, **options).array))
-    return float(np.array(dr.grad(params[key]), np.float64).sum()), slope
+    return by_both(sheet(bsdf), f"sheet.bsdf.{name}", h, seed=1, spp=spp)
 
 
 DULL = {"type": "conductor", "specular_reflectance": 0.6}

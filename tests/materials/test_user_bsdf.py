@@ -11,6 +11,7 @@ import pytest
 import djpt
 from djpt.jit.types import UInt32
 from djpt.validation import agreement
+from tests.kit.derivatives import by_both
 from tests.kit.kernels import kernels
 from tests.kit.renders import box, ours, pixels, theirs
 from tests.kit.swatches import swatches
@@ -197,23 +198,9 @@ def test_edits_take_effect_and_compile_nothing() -> None:
 @pytest.mark.parametrize("name", ["red.tint", "red.rim", "white.tint", "small-box.bsdf.rim", "sheet.bsdf.tint"])
 def test_gradients_against_differences(name: str) -> None:
     scene = djpt.load_dict(box(16, "box", PRB, scripted))
-    params = djpt.traverse(scene)
-    options, h = {"spp": 16, "seed": 5, "seed_grad": 5}, 0.01
-    start = np.array(params[name]).ravel()
-
-    def loss(values: np.ndarray) -> float:
-        params[name] = values.tolist() if values.size == 3 else float(values[0])
-        params.update()
-        return float(pixels(djpt.render(scene, params, **options)).astype(np.float64).sum())
-
-    slope = (loss(start + h) - loss(start - h)) / (2 * h)
-    loss(start)
-    dr.enable_grad(params[name])
-    params.set_dirty(name)
-    params.update()
-    dr.backward(dr.sum(djpt.render(scene, params, **options).array))
-    assert abs(slope) > 0.05
-    assert np.array(dr.grad(params[name])).sum() == pytest.approx(slope, rel=3e-3)
+    found, expected = by_both(scene, name, 0.01, seed=5, spp=16)
+    assert abs(expected) > 0.05
+    assert found == pytest.approx(expected, rel=3e-3)
 
 
 def test_as_fast_as_a_built_in_one() -> None:

@@ -15,6 +15,7 @@ from djpt.jit.types import PCG32, UInt32, UInt64
 from djpt.samplers import SampleIndex
 from djpt.samplers.independent import MULTIPLIER, IndependentStream
 from tests.kit.arrays import in_numpy
+from tests.kit.derivatives import by_both
 from tests.kit.lit_floor import floor_scene
 from tests.kit.renders import box, ours, pixels, theirs
 
@@ -329,27 +330,8 @@ def test_schedules_agree(description: dict[str, Any]) -> None:
 @every()
 def test_gradients_are_those_of_the_image(description: dict[str, Any]) -> None:
     scene = djpt.load_dict(floor_scene(size=8, sampler=description))
-    params, name = djpt.traverse(scene), "floor.bsdf.reflectance.value"
-    start = np.array(params[name]).ravel()
-
-    def mean(value: np.ndarray, attach: bool = False) -> tuple[float, np.ndarray | None]:
-        params[name] = djpt.Color3f(*value.tolist())
-        if attach:
-            dr.enable_grad(params[name])
-        params.update()
-        loss = dr.mean(djpt.render(scene, params, spp=8, seed=2, seed_grad=2).array)
-        if not attach:
-            return float(loss[0]), None
-        dr.backward(loss)
-        gradient = np.array(dr.grad(params[name])).ravel()
-        dr.disable_grad(params[name])
-        return float(loss[0]), gradient
-
-    _, gradient = mean(start, attach=True)
-    step = np.array([0.02, 0, 0])
-    difference = (mean(start + step)[0] - mean(start - step)[0]) / (2 * step[0])
-    assert gradient is not None
-    assert gradient[0] == pytest.approx(difference, rel=5e-3)
+    found, expected = by_both(scene, "floor.bsdf.reflectance.value", 0.02, [1, 0, 0], seed=2, spp=8)
+    assert found == pytest.approx(expected, rel=5e-3)
 
 
 def noise(scene: dict[str, Any], spp: int, reference: np.ndarray, seeds: int = 4) -> np.ndarray:
