@@ -7,7 +7,7 @@ Mitsuba's schema, so the same change reaches djpt and Mitsuba.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from djpt.core.files import require_regular
@@ -140,21 +140,17 @@ def override(
         _set_integrator(result, integrator)
     if width is None and height is None and rfilter is None:
         return result
-    sensors = [key for key, node in result.items() if isinstance(node, Mapping) and node.get("type") in SENSORS]
-    if not sensors:
+    films = list(_films(result))
+    if not films:
         raise SceneError("the scene has no sensor described by a dict, so its film can't be changed")
-    for key in sensors:
-        sensor = dict(result[key])
-        name = _film_key(sensor)
-        film = dict(sensor.get(name, {"type": "hdrfilm"}))
+    for key, sensor, name, film in films:
         if (width is not None or height is not None) and sensor["type"] not in METERS:
             _set_size(film, f"{key}.{name}", width, height)
         if rfilter is not None:
             for other in [k for k, node in film.items() if isinstance(node, Mapping) and k != "rfilter"]:
                 del film[other]
             film["rfilter"] = {"type": rfilter} if isinstance(rfilter, str) else dict(rfilter)
-        sensor[name] = film
-        result[key] = sensor
+        result[key] = {**sensor, name: film}
     return result
 
 
@@ -164,26 +160,19 @@ def reduced(scene: Mapping[str, Any], side: int) -> dict[str, Any]:
     Smaller pictures stay as they are, as do films with a crop window and sensors that aren't described by a dict.
     """
     result = scene.copy() if isinstance(scene, Document) else dict(scene)
-    for key, node in scene.items():
-        if not isinstance(node, Mapping) or node.get("type") not in SENSORS - METERS:
-            continue
-        name = _film_key(dict(node))
-        film = dict(node.get(name, {"type": "hdrfilm"}))
+    for key, sensor, name, film in _films(scene):
         width, height = film.get("width", WIDTH), film.get("height", HEIGHT)
-        if max(width, height) > side and not any(entry.startswith("crop_") for entry in film):
+        cropped = any(entry.startswith("crop_") for entry in film)
+        if max(width, height) > side and not cropped and sensor["type"] not in METERS:
             _set_size(film, f"{key}.{name}", *((side, None) if width >= height else (None, side)))
-            result[key] = {**node, name: film}
+            result[key] = {**sensor, name: film}
     return result
 
 
 def rfilter_name(scene: Mapping[str, Any]) -> str:
     """The type of the first sensor's reconstruction filter; Mitsuba's default is `gaussian`."""
-    for sensor in scene.values():
-        if isinstance(sensor, Mapping) and sensor.get("type") in SENSORS:
-            film = sensor.get(_film_key(sensor), {})
-            nodes = [node for node in film.values() if isinstance(node, Mapping)] if isinstance(film, Mapping) else []
-            return str(nodes[0].get("type")) if nodes else "gaussian"
-    return "gaussian"
+    _, _, _, film = next(_films(scene), (None, None, None, {}))
+    return next((str(node.get("type")) for node in film.values() if isinstance(node, Mapping)), "gaussian")
 
 
 def integrator_name(scene: Mapping[str, Any]) -> str:
@@ -194,11 +183,15 @@ def integrator_name(scene: Mapping[str, Any]) -> str:
     return "path"
 
 
-def _film_key(sensor: Mapping[str, Any]) -> str:
-    for key, node in sensor.items():
-        if isinstance(node, Mapping) and str(node.get("type", "")).endswith("film"):
-            return key
-    return "film"
+def _films(scene: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any], str, dict[str, Any]]]:
+    """Each sensor that dicts describe, with its film: its key and node, the key of the film and a copy of its node."""
+    for key, sensor in scene.items():
+        if isinstance(sensor, Mapping) and sensor.get("type") in SENSORS:
+            nodes = {name: node for name, node in sensor.items() if isinstance(node, Mapping)}
+            name = next((name for name, node in nodes.items() if str(node.get("type", "")).endswith("film")), "film")
+            film = sensor.get(name, {"type": "hdrfilm"})
+            if isinstance(film, Mapping):
+                yield key, sensor, name, dict(film)
 
 
 def _set_size(film: dict[str, Any], node: str, width: int | None, height: int | None) -> None:

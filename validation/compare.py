@@ -41,7 +41,7 @@ __all__ = [
     "OUR_SEEDS",
     "THEIR_SEEDS",
     "Comparison",
-    "Rendering",
+    "Side",
     "assert_matches",
     "compare",
     "compare_renderers",
@@ -55,49 +55,51 @@ OUR_SEEDS, THEIR_SEEDS = 0, 1
 """The streams of seeds of the two sides; references have the second one."""
 
 
-class Rendering:
-    """A renderer with its batches, times and seeds."""
+class Side:
+    """One of the two things that are compared, with the batches that are rendered of it, or that a reference has."""
 
-    def __init__(self, renderer: Renderer, spp: int, count: int, seed: int, stream: int) -> None:
-        self.renderer, self.spp, self.count = renderer, spp, count
+    def __init__(self, comparand: Comparand, spp: int, count: int, seed: int, stream: int) -> None:
+        self.comparand, self.batch_spp = comparand, spp
+        self.count = count if comparand.renderer else 0
+        """The number of batches to render."""
         # With seeds that both sides share their noise would be correlated, and the tests too lenient.
-        self.seeds = np.random.SeedSequence([seed, stream]).generate_state(count)
+        self.seeds = tuple(np.random.SeedSequence([seed, stream]).generate_state(self.count).tolist())
         self.batches = Batches()
         self.times: list[float] = []
+        reference = comparand.reference
+        if reference is not None:
+            self.batches, self.batch_spp, self.seeds = reference.batches, reference.batch_spp, reference.seeds
 
     def render(self, k: int) -> None:
         """Render batch `k`."""
+        assert self.comparand.renderer is not None
         start = time.perf_counter()
-        image = self.renderer(self.spp, int(self.seeds[k]))
+        image = self.comparand.renderer(self.batch_spp, self.seeds[k])
         self.times.append(time.perf_counter() - start)
         self.batches.add(image)
 
     @property
     def seconds(self) -> float:
-        """The median time of a batch, without the first one, which compiles kernels."""
-        return float(np.median(self.times[1:] or self.times))
+        """The median time of a batch, without the first one, which compiles kernels; 0 if none was rendered."""
+        return float(np.median(self.times[1:] or self.times)) if self.times else 0.0
 
+    @property
+    def spp(self) -> int:
+        """Samples per pixel of all batches; 0 for images."""
+        return self.batch_spp * self.batches.count
 
-class Shown:
-    """The measurements of one side's image."""
+    @property
+    def image(self) -> npt.NDArray[Any]:
+        """The mean of the batches, or the image that has none."""
+        return self.batches.mean if self.comparand.image is None else self.comparand.image
 
-    def __init__(self, side: Comparand, rendering: Rendering | None) -> None:
-        self.facts: dict[str, Any] = dict(side.facts)
-        self.batches: Batches | None = None
-        self.spp, self.seconds = 0, 0.0
-        if rendering is not None:
-            self.batches, self.seconds = rendering.batches, rendering.seconds
-            self.spp = rendering.spp * rendering.count
-            self.facts["seeds"] = [int(seed) for seed in rendering.seeds]
-        elif side.reference is not None:
-            self.batches = side.reference.batches
-            self.spp = side.reference.batch_spp * self.batches.count
-            self.facts["seeds"] = list(side.reference.seeds)
-        if self.batches is not None:
-            self.facts |= {"batches": self.batches.count, "samples per pixel": self.spp}
-            self.image: npt.NDArray[Any] = self.batches.mean
-        else:
-            self.image = stored(side)
+    @property
+    def facts(self) -> dict[str, Any]:
+        """What was rendered, and how, for people to read."""
+        found = dict(self.comparand.facts)
+        if self.batches.count:
+            found |= {"seeds": list(self.seeds), "batches": self.batches.count, "samples per pixel": self.spp}
+        return found
 
 
 def compared(
@@ -121,26 +123,24 @@ def compared(
 
     `same_estimator`: both have the same variance. `independent_pixels`: pixels share no samples.
     """
-    first, second = rendered(a, b, spp, reference_spp, batches, seed)
-    rendering = [each for each in (first, second) if each is not None]
+    ours, theirs = sides(a, b, spp, reference_spp, batches, seed)
     paired = a.renderer is not None and b.renderer is not None and same_seed_spp > 0
-    done, total = 0, sum(each.count for each in rendering) + (2 if paired else 0)
+    done, total = 0, ours.count + theirs.count + (2 if paired else 0)
     # In turn, so that other load on the machine slows both.
-    for k in range(max((each.count for each in rendering), default=0)):
-        for each in rendering:
-            if k < each.count:
-                each.render(k)
+    for k in range(max(ours.count, theirs.count)):
+        for side in (ours, theirs):
+            if k < side.count:
+                side.render(k)
                 done += 1
                 if progress:
                     progress(done, total)
-    pair = same_seed(a, b, seed, same_seed_spp, "same_seed" in limits)
+    pair = same_seed(ours, theirs, seed, same_seed_spp, "same_seed" in limits)
     if paired and progress:
         progress(total, total)
 
-    ours, theirs = Shown(a, first), Shown(b, second)
     image, reference = metrics.pair(ours.image, theirs.image)
     found: dict[str, Any] = {"tests": (), "noise_rmse": math.nan, "noise_ratio": math.nan}
-    if ours.batches is not None and theirs.batches is not None:
+    if ours.batches.count and theirs.batches.count:
         found = statistics(
             ours.batches,
             theirs.batches,
@@ -152,7 +152,7 @@ def compared(
         if not tests:
             found["tests"] = found["tests"][:1] if "z" in limits else ()
     elif "z" in limits:
-        title = a.title if ours.batches is None else b.title
+        title = b.title if ours.batches.count else a.title
         raise ComparisonError(f"compare: 'z' needs the noise of both images, but that of {title} is unknown")
     return Comparison(
         name=name,
@@ -161,7 +161,7 @@ def compared(
         titles=(a.title, b.title),
         spp=ours.spp,
         reference_spp=theirs.spp,
-        batch_spp=rendering[0].spp if rendering else 0,
+        batch_spp=next((side.batch_spp for side in (ours, theirs) if side.count), 0),
         rmse=metrics.rmse(image, reference),
         relative_rmse=metrics.relative_rmse(image, reference),
         bias=metrics.mean_bias(image, reference),
@@ -176,27 +176,25 @@ def compared(
     )
 
 
-def rendered(
+def sides(
     a: Comparand, b: Comparand, spp: int, reference_spp: int | None, batches: int, seed: int
-) -> tuple[Rendering | None, Rendering | None]:
-    """The renderings that are to be done: of both sides, one or none."""
+) -> tuple[Side, Side]:
+    """Both sides, before anything is rendered."""
     batch_spp, count, reference_count = plan(spp, reference_spp, batches)
     reference = a.reference or b.reference
     if reference is not None:  # batches of the same spp as its own
         batch_spp = reference.batch_spp
         count, reference_count = (max(2, n // batch_spp) for n in (spp, reference_spp or spp))
-    return (
-        Rendering(a.renderer, batch_spp, count, seed, OUR_SEEDS) if a.renderer else None,
-        Rendering(b.renderer, batch_spp, reference_count, seed, THEIR_SEEDS) if b.renderer else None,
-    )
+    return Side(a, batch_spp, count, seed, OUR_SEEDS), Side(b, batch_spp, reference_count, seed, THEIR_SEEDS)
 
 
-def same_seed(a: Comparand, b: Comparand, seed: int, spp: int, wanted: bool) -> Agreement | None:
+def same_seed(ours: Side, theirs: Side, seed: int, spp: int, wanted: bool) -> Agreement | None:
     """The agreement of the two sides at equal seeds, as far as they can have equal ones.
 
     Images are taken as they are. Whatever is compared with a reference renders again, with the reference's
     seeds, but only where the agreement is `wanted`.
     """
+    a, b = ours.comparand, theirs.comparand
     if a.renderer and b.renderer:
         if not spp:
             return None
@@ -204,22 +202,14 @@ def same_seed(a: Comparand, b: Comparand, seed: int, spp: int, wanted: bool) -> 
             return agreement(a.paired(spp, seed), b.paired(spp, seed))
         return agreement(a.renderer(spp, seed), b.renderer(spp, seed))
     if not (a.renderer or b.renderer):
-        return agreement(stored(a), stored(b))
+        return agreement(ours.image, theirs.image)
     if not wanted:
         return None
     if a.renderer and b.reference:
-        return agreement(repeated(a.renderer, b.reference), b.reference.batches.mean)
+        return agreement(repeated(a.renderer, b.reference), theirs.image)
     if b.renderer and a.reference:
-        return agreement(a.reference.batches.mean, repeated(b.renderer, a.reference))
+        return agreement(ours.image, repeated(b.renderer, a.reference))
     raise ComparisonError(f"compare: 'same_seed' can't be measured for {a.title} and {b.title}, whose seeds may differ")
-
-
-def stored(side: Comparand) -> npt.NDArray[Any]:
-    """The image of a side that doesn't render."""
-    if side.reference is not None:
-        return side.reference.batches.mean
-    assert side.image is not None
-    return side.image
 
 
 def repeated(renderer: Renderer, reference: Reference) -> npt.NDArray[np.float64]:
@@ -414,18 +404,17 @@ def store_reference(
     """
     if parameters:
         described(scene, parameters)  # raises unless it is a file
-    side = comparand_of(found(scene, parameters)[1], schedule, **changes)
-    if side.renderer is None:
+    comparand = comparand_of(found(scene, parameters)[1], schedule, **changes)
+    if comparand.renderer is None:
         raise ComparisonError("a reference must be rendered, in batches that reveal its noise; an image has no batches")
     batch_spp, count, _ = plan(spp, None, batches)
-    rendering = Rendering(side.renderer, batch_spp, count, seed, THEIR_SEEDS)
+    side = Side(comparand, batch_spp, count, seed, THEIR_SEEDS)
     with watched(progress, "rendering", "renders") as shown:
         for k in range(count):
-            rendering.render(k)
+            side.render(k)
             if shown:
                 shown(k + 1, count)
-    seeds = tuple(int(each) for each in rendering.seeds)
-    reference = Reference(rendering.batches, batch_spp, seeds, side.independent_pixels, side.facts)
+    reference = Reference(side.batches, batch_spp, side.seeds, comparand.independent_pixels, comparand.facts)
     write_reference(path, reference)
     return reference
 

@@ -491,9 +491,7 @@ MATTER = (
         "white ball of fog",
         "L = e: what absorbs nothing can't be seen",
         "furnace; S. Chandrasekhar, Radiative Transfer (1960)",
-        lambda: body(
-            {"type": "homogeneous", "sigma_t": 3.0, "albedo": 1.0, "phase": {"type": "hg", "g": 0.6}}, sky=SKY
-        ),
+        lambda: body(FOG, sky=SKY),
         1.0,
         MANY,
         FOLLOWING_MEDIA,
