@@ -11,11 +11,12 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from djpt.core.files import as_path, check_target, writing
 from djpt.errors import FileError
 from djpt.images.formats import DISPLAY_FORMATS
 from djpt.images.image import Image, png_address, write
 
-__all__ = ["Bytes", "Pictured", "difference_picture", "document", "read_beside"]
+__all__ = ["Bytes", "Pictured", "check_page", "difference_picture", "document", "read_beside", "write_page"]
 
 Bytes = npt.NDArray[np.uint8]
 
@@ -61,6 +62,21 @@ def difference_picture(image: Any, reference: Any, scale: float) -> Bytes:
 def read_beside(module: str, name: str) -> str:
     """Read a text file in the folder of a module, given by its ``__file__``."""
     return Path(module).with_name(name).read_text(encoding="utf-8")
+
+
+def check_page(path: str | os.PathLike[str], what: str) -> Path:
+    """The path of a page; raises `FileError` unless it can have this name and be written. Ask before rendering."""
+    target = as_path(path)
+    if target.suffix.lower() not in (".html", ".htm"):
+        raise FileError(f"can't write '{target}': {what} is a page, .html")
+    check_target(target)
+    return target
+
+
+def write_page(target: Path, text: str) -> None:
+    """Write a page. Names of files in it may hold bytes that aren't UTF-8."""
+    with writing(target) as temporary:
+        temporary.write_text(text, encoding="utf-8", errors="replace")
 
 
 def document(title: str, style: str, parts: Iterable[str], end: str) -> str:

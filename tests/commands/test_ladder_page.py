@@ -330,7 +330,10 @@ def test_the_commands_write_what_they_say(tmp_path: Path, monkeypatch: pytest.Mo
         (["ladder", "cornell_box", "--reference", "mitsubar"], "did you mean 'mitsuba'?"),
         (["ladder", "cornell_box", "--time", "0"], "'seconds' must be greater than 0, found 0.0"),
         (["ladder", "cornell_box", "--spp", "0"], "--spp must be at least 1, found 0"),
-        (["ladder", "cornell_box", "-o", "a.png"], "the page is written as html, found 'a.png'"),
+        (
+            ["ladder", "cornell_box", "-o", "a.png"],
+            "can't write 'a.png': the comparison of algorithms is a page, .html",
+        ),
         (["ladder", "cornell_box", "-o", "no/a.html"], "can't write 'no/a.html': there is no folder '"),
         (
             ["bounces", "cornell_box", "-o", "a.exr"],

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from djpt.core.files import as_path, check_target, writing
-from djpt.errors import BackendError, FileError
+from djpt.errors import BackendError
+from djpt.validation import report
 from djpt.validation.metrics import MEASURES, colours
 from djpt.validation.references import machine, versions
 from djpt.validation.report import document, read_beside
@@ -32,14 +32,8 @@ Z_SHOWN = 6.0
 
 def write_page(result: Comparison, path: str | os.PathLike[str]) -> None:
     """Write `html(result)`. Raises `FileError` for names without ``.html`` and for paths that can't be written."""
-    target = as_path(path)
-    if target.suffix.lower() not in (".html", ".htm"):
-        raise FileError(f"can't write '{target}': the report of a comparison is a page, .html")
-    check_target(target)
-    text = html(result)
-    with writing(target) as temporary:
-        # Names of files may hold bytes that aren't UTF-8.
-        temporary.write_text(text, encoding="utf-8", errors="replace")
+    target = report.check_page(path, "the report of a comparison")
+    report.write_page(target, html(result))
 
 
 def html(result: Comparison) -> str:

@@ -79,6 +79,7 @@ def command(
     """
     from djpt.images.image import check_writable
     from djpt.validation.comparison import Comparison
+    from djpt.validation.report import check_page
 
     require_positive(**{name: settings[name] for name in ("spp", "reference_spp", "width", "height")})
     if store is not None:
@@ -92,7 +93,7 @@ def command(
         check_writable(target)
         Comparison.check_picture(target)
     if report is not None:
-        check_page(report)
+        check_page(report, "--report")
     require_different(
         {"--output": target if drawn else None, "--report": report},
         {"A": Path(a), "B": None if b is None else Path(b)},
@@ -141,12 +142,3 @@ def refuse_beside_store(b: str | None, report: Path | None, as_json: bool) -> No
     for name, unused in (("B", b is None), ("--report", report is None), ("--json", not as_json)):
         if not unused:
             raise click.UsageError(f"--store renders A alone, without {name}")
-
-
-def check_page(report: Path) -> None:
-    """Raise a usage error unless the report's name is a page's, before anything is rendered."""
-    from djpt.core.files import check_target
-
-    if report.suffix.lower() not in (".html", ".htm"):
-        raise click.UsageError(f"--report writes a page, .html, found '{report}'")
-    check_target(report)

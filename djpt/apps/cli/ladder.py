@@ -9,8 +9,6 @@ import click
 
 from djpt.apps.cli import options
 from djpt.apps.cli.console import Command, described_scene, require_positive, say
-from djpt.core.files import check_target, writing
-from djpt.errors import RenderError
 from djpt.rendering.progress import progress_bar
 
 __all__ = ["command"]
@@ -36,16 +34,14 @@ def command(scene: str, output: Path, size: int | None, define: tuple[str, ...],
     """
     from djpt.validation.integrator_comparison.measure import measure
     from djpt.validation.integrator_comparison.page import html
+    from djpt.validation.report import check_page, write_page
 
     require_positive(spp=settings["spp"], reference_spp=settings["reference_spp"], size=size)
-    if output.suffix.lower() not in (".html", ".htm"):
-        raise RenderError(f"the page is written as html, found '{output}'")
-    check_target(output)
+    check_page(output, "the comparison of algorithms")
     name, description = described_scene(scene, define)
     with progress_bar("measuring", "algorithms", quiet) as progress:
         found = measure(description, width=size, name=name, progress=progress, **settings)
-    with writing(output) as temporary:
-        temporary.write_text(html(found), encoding="utf-8", errors="replace")
+    write_page(output, html(found))
     if not quiet:
         for rung in found.measured:
             last, floor = rung.last, ", at its floor" if rung.at_floor else ""

@@ -185,41 +185,30 @@ def differentiated(value: Any) -> float:
 KIND = "djpt search 1"
 
 
-def save_state(
-    path: str | os.PathLike[str],
-    iteration: int,
-    losses: list[float],
-    sums: Mapping[str, Any],
-    optimizer: Any,
-    variables: Mapping[str, Variable],
-    curvatures: Curvatures | None = None,
-) -> None:
+def save_state(path: str | os.PathLike[str], search: Search, losses: list[float], sums: Mapping[str, Any]) -> None:
     """Write a search: its variables, its optimiser's moments, its losses, the curvatures that it has measured."""
     arrays: dict[str, Any] = {}
-    for name in variables:
-        arrays[f"x:{name}"] = np.array(optimizer[name])
+    for name in search.variables:
+        arrays[f"x:{name}"] = np.array(search.optimizer[name])
         arrays[f"sum:{name}"] = np.array(sums[name], np.float64)
-        for i, moment in enumerate(moments(optimizer, name)):
+        for i, moment in enumerate(moments(search.optimizer.state[name][3])):
             if moment is not None:
                 arrays[f"moment{i}:{name}"] = np.array(moment)
-    for key, array in (curvatures.arrays() if curvatures is not None else {}).items():
+    for key, array in (search.curvatures.arrays() if search.curvatures is not None else {}).items():
         arrays[f"curvature:{key}"] = array
-    header = {"kind": KIND, "iteration": iteration, "losses": losses, "optimizer": type(optimizer).__name__}
+    kind = type(search.optimizer).__name__
+    header = {"kind": KIND, "iteration": len(losses), "losses": losses, "optimizer": kind}
     with writing(as_path(path)) as temporary, temporary.open("wb") as file:
         np.savez(file, header=np.frombuffer(json.dumps(header).encode(), np.uint8), **arrays)
 
 
-def load_state(
-    path: str | os.PathLike[str],
-    optimizer: Any,
-    variables: Mapping[str, Variable],
-    curvatures: Curvatures | None = None,
-) -> tuple[int, list[float], dict[str, Any]]:
-    """Load a search into an optimiser: returns the next iteration, the losses, the sums of parameters.
+def load_state(path: str | os.PathLike[str], search: Search) -> tuple[int, list[float], dict[str, Any]]:
+    """Continue a search from a file: returns the next iteration, the losses, the sums of parameters.
 
     Raises:
         FileError: The file belongs to another search, or is damaged.
     """
+    optimizer, variables = search.optimizer, search.variables
     try:
         with open_regular(path) as file, np.load(file, allow_pickle=False) as stored:
             header = json.loads(bytes(stored["header"]).decode())
@@ -231,11 +220,15 @@ def load_state(
             )
         for name, v in variables.items():
             optimizer[name] = v.type(arrays[f"x:{name}"])
-            kept = sorted(key for key in arrays if key.startswith("moment") and key.partition(":")[2] == name)
-            restore(optimizer, name, [arrays[key] for key in kept])
-        if curvatures is not None:
+            value, promoted, rate, extra = optimizer.state[name]
+            # In the types of what they replace.
+            new = [
+                None if now is None else typed(arrays[f"moment{i}:{name}"], now) for i, now in enumerate(moments(extra))
+            ]
+            optimizer.state[name] = value, promoted, rate, tuple(new) if isinstance(extra, tuple) else new[0]
+        if search.curvatures is not None:
             known = {key.partition(":")[2]: arrays[key] for key in arrays if key.startswith("curvature:")}
-            curvatures.restore(known)
+            search.curvatures.restore(known)
         return int(header["iteration"]), list(header["losses"]), {name: arrays[f"sum:{name}"] for name in variables}
     except FileError:
         raise
@@ -243,19 +236,9 @@ def load_state(
         raise FileError(f"can't continue from '{path}': {error}") from None
 
 
-def moments(optimizer: Any, name: str) -> list[Any]:
-    """The state of a variable in an optimiser of `drjit.opt`, as numbers and arrays; None where there is none."""
-    extra = optimizer.state[name][3]
+def moments(extra: Any) -> list[Any]:
+    """What an optimiser of `drjit.opt` keeps of a variable, as a list of numbers and arrays; None where it has none."""
     return list(extra) if isinstance(extra, tuple) else [extra]
-
-
-def restore(optimizer: Any, name: str, values: list[Any]) -> None:
-    """Restore the state of an optimiser, in the types of its current values."""
-    value, promoted, rate, extra = optimizer.state[name]
-    now = list(extra) if isinstance(extra, tuple) else [extra]
-    found = iter(values)
-    new = [None if entry is None else typed(next(found), entry) for entry in now]
-    optimizer.state[name] = value, promoted, rate, tuple(new) if isinstance(extra, tuple) else new[0]
 
 
 def typed(value: Any, like: Any) -> Any:
@@ -393,7 +376,7 @@ def optimize(
     )
     first, losses, sums = 0, list[float](), dict.fromkeys(names, np.zeros(()))
     if checkpoint is not None and os.path.exists(checkpoint):
-        first, losses, sums = load_state(checkpoint, search.optimizer, variables, search.curvatures)
+        first, losses, sums = load_state(checkpoint, search)
     start, last, refining = time.perf_counter(), max(1, iterations // 4), refined_at(iterations, coarse)
     with watched(progress, "optimising", "iterations") as shown, LiveSearch(losses) if live else nullcontext() as shows:
         for i in range(first, iterations):
@@ -408,7 +391,7 @@ def optimize(
             if shown:
                 shown(i + 1, iterations)
             if checkpoint is not None and (i % SAVED == SAVED - 1 or i + 1 == iterations):
-                save_state(checkpoint, i + 1, losses, sums, search.optimizer, variables, search.curvatures)
+                save_state(checkpoint, search, losses, sums)
             done = Progressed(i, losses[-1], values, time.perf_counter() - start, search.images, search.pictures)
             if shows is not None:
                 shows(done)

@@ -3,49 +3,38 @@
 opt = djpt.mitsuba.ad.Adam(lr=0.05, params={key: params[key]})
 """
 
+# ruff: noqa: F401 (the names are read by `lazily`)
+
 from __future__ import annotations
 
-import importlib
-from typing import Any
+from typing import TYPE_CHECKING
 
-from djpt.mitsuba.ad.optimizers import SGD, Adam, AdamW, GradScaler, Optimizer, RMSProp
+from djpt.core.lazy import lazily
 
-__all__ = ["SGD", "Adam", "AdamW", "GradScaler", "Optimizer", "RMSProp"]
-
-MODULES = {
-    "common": "djpt.mitsuba.ad.integrators.common",
-    "guiding": "djpt.integrators.projective.guiding",
-    "integrators": "djpt.mitsuba.ad.integrators",
-    "largesteps": "djpt.mitsuba.ad.largesteps",
-    "loaders": "djpt.mitsuba.ad.loaders",
-    "optimizers": "djpt.mitsuba.ad.optimizers",
-    "prb": "djpt.mitsuba.ad.integrators.prb",
-    "prb_basic": "djpt.mitsuba.ad.integrators.prb_basic",
-    "projective": "djpt.integrators.projective.detail",
-    "ray_loader": "djpt.mitsuba.ad.loaders.ray_loader",
-}
-"""Attributes that are modules, which optimisers don't need."""
-
-NAMES = {
-    **dict.fromkeys(
-        ("BaseGuidingDistr", "GridDistr", "OcSpaceDistr", "UniformDistr"), "djpt.integrators.projective.guiding"
-    ),
-    "FlatSensor": "djpt.mitsuba.ad.loaders",
-    "LargeSteps": "djpt.mitsuba.ad.largesteps",
-    "ProjectiveDetail": "djpt.integrators.projective.detail",
-    "RayDataLoader": "djpt.mitsuba.ad.loaders",
-}
-"""Names that optimisers don't need, and their modules."""
-
-
-def __getattr__(name: str) -> Any:
-    """Import a module, or what is defined in one, when it is first used (PEP 562)."""
-    if name in MODULES:
-        return importlib.import_module(MODULES[name])
-    if name in NAMES:
-        return getattr(importlib.import_module(NAMES[name]), name)
-    raise AttributeError(f"module 'djpt.mitsuba.ad' has no attribute {name!r}")
-
-
-def __dir__() -> list[str]:
-    return sorted([*__all__, *MODULES, *NAMES])
+if TYPE_CHECKING:
+    from djpt.integrators.projective import detail as projective
+    from djpt.integrators.projective import guiding as guiding
+    from djpt.integrators.projective.detail import ProjectiveDetail as ProjectiveDetail
+    from djpt.integrators.projective.guiding import BaseGuidingDistr as BaseGuidingDistr
+    from djpt.integrators.projective.guiding import GridDistr as GridDistr
+    from djpt.integrators.projective.guiding import OcSpaceDistr as OcSpaceDistr
+    from djpt.integrators.projective.guiding import UniformDistr as UniformDistr
+    from djpt.mitsuba.ad import integrators as integrators
+    from djpt.mitsuba.ad import largesteps as largesteps
+    from djpt.mitsuba.ad import loaders as loaders
+    from djpt.mitsuba.ad import optimizers as optimizers
+    from djpt.mitsuba.ad.integrators import common as common
+    from djpt.mitsuba.ad.integrators import prb as prb
+    from djpt.mitsuba.ad.integrators import prb_basic as prb_basic
+    from djpt.mitsuba.ad.largesteps import LargeSteps as LargeSteps
+    from djpt.mitsuba.ad.loaders import ray_loader as ray_loader
+    from djpt.mitsuba.ad.loaders.ray_loader import FlatSensor as FlatSensor
+    from djpt.mitsuba.ad.loaders.ray_loader import RayDataLoader as RayDataLoader
+    from djpt.mitsuba.ad.optimizers import SGD as SGD
+    from djpt.mitsuba.ad.optimizers import Adam as Adam
+    from djpt.mitsuba.ad.optimizers import AdamW as AdamW
+    from djpt.mitsuba.ad.optimizers import GradScaler as GradScaler
+    from djpt.mitsuba.ad.optimizers import Optimizer as Optimizer
+    from djpt.mitsuba.ad.optimizers import RMSProp as RMSProp
+else:
+    __getattr__, __dir__, __all__ = lazily(__name__)
