@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.description.plugin import HIDDEN, ParamFlags, Plugin, TraversalCallback
+from djpt.dispatch.tables import entry_at
 from djpt.jit.kernels import aligned_floats, as_float, maximum
 from djpt.jit.types import Bool, Float, Point2f, TensorXf, UInt32
 
@@ -76,14 +77,14 @@ class DiscreteDistribution2D(Plugin):
         row, low, high = search(self.marginal, UInt32(0), self.rows, y, self.steps[0], active)
         y = (y - low) * dr.select(high > low, dr.rcp(high - low), 0)
         first = row * self.columns
-        x = maximum(sample.x, Float(LEAST)) * entry(self.conditional, first + (self.columns - 1), active)
+        x = maximum(sample.x, Float(LEAST)) * entry_at(self.conditional, first + (self.columns - 1), active)
         column, low, high = search(self.conditional, first, self.columns, x, self.steps[1], active)
         x = (x - low) * dr.select(high > low, dr.rcp(high - low), 0)
         return column, row, Point2f(x, y)
 
     def density(self, column: UInt32, row: UInt32, active: Bool | bool = True) -> Float:
         """The density in a cell if points are uniform within it, per unit of area: the square has the area 1."""
-        return entry(self.relative, row * self.columns + column, active)
+        return entry_at(self.relative, row * self.columns + column, active)
 
 
 def search(
@@ -94,19 +95,11 @@ def search(
     for k in reversed(range(steps)):
         probe = below + (1 << k)
         inside = (probe < count) & active
-        further = inside & (entry(table, first + (probe - 1), inside) < wanted)
+        further = inside & (entry_at(table, first + (probe - 1), inside) < wanted)
         below = dr.select(further, probe, below)
     before = below > 0
-    low = dr.select(before, entry(table, first + below - dr.select(before, UInt32(1), UInt32(0)), active), 0)
-    return below, low, entry(table, first + below, active)
-
-
-def entry(table: Any, index: UInt32, active: Bool | bool) -> Float:
-    """Entry `index` of a table, or of the tensor that stands in its place outside of kernels."""
-    if dr.is_tensor_v(table):
-        return dr.gather(Float, table.array, index, active)
-    number: Float = table.at(index, active)
-    return number
+    low = dr.select(before, entry_at(table, first + below - dr.select(before, UInt32(1), UInt32(0)), active), 0)
+    return below, low, entry_at(table, first + below, active)
 
 
 def in_memory(table: NDArray[np.float64]) -> TensorXf:

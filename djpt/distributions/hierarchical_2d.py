@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.description.plugin import HIDDEN, ParamFlags, Plugin, TraversalCallback
+from djpt.dispatch.tables import entry_at
 from djpt.distributions.grids import cell_masses, corner_table, halve
 from djpt.jit.kernels import aligned_floats, as_vector, if_stmt, lerp, maximum, minimum
-from djpt.jit.types import Array4f, Bool, Float, Point2f, TensorXf, UInt32
+from djpt.jit.types import Bool, Float, Point2f, TensorXf, UInt32
 
-__all__ = ["Hierarchical2D", "entry", "place_in_cell"]
+__all__ = ["Hierarchical2D", "place_in_cell"]
 
 LEAST = 2.0**-33
 """Stands for a sample of 0, which would lead into cells of weight 0."""
@@ -96,7 +97,7 @@ class Hierarchical2D(Plugin):
 
     def _sample(self, sample: Point2f) -> tuple[UInt32, UInt32, Point2f, Float]:
         column, row, rest = self._descend(sample)
-        f = entry(self.corners, row * self.columns + column)
+        f = entry_at(self.corners, row * self.columns + column)
         place = place_in_cell(f.x, f.y, f.z, f.w, rest)
         return column, row, place, lerp(lerp(f.x, f.y, place.x), lerp(f.z, f.w, place.x), place.y)
 
@@ -121,7 +122,7 @@ class Hierarchical2D(Plugin):
             if first == 0:
                 node: Any = self.root
             else:
-                node = entry(self.splits, first + ((row << halvings[1]) | column))
+                node = entry_at(self.splits, first + ((row << halvings[1]) | column))
             first += 1 << sum(halvings)
             share = node.y
             if level < self.levels[0]:
@@ -136,7 +137,7 @@ class Hierarchical2D(Plugin):
 
     def density(self, column: UInt32, row: UInt32, place: Point2f, active: Bool | bool = True) -> Float:
         """The density at a place of a cell, per unit of area: all cells together have the area 1."""
-        f = entry(self.corners, row * self.columns + column, active)
+        f = entry_at(self.corners, row * self.columns + column, active)
         return lerp(lerp(f.x, f.y, place.x), lerp(f.z, f.w, place.x), place.y)
 
 
@@ -163,10 +164,3 @@ def linear(a: Float, b: Float, sample: Float) -> Float:
     """A number in [0, 1] with a density that is proportional to the straight line from `a` to `b`."""
     root = dr.sqrt(dr.fma(sample, dr.square(b) - dr.square(a), dr.square(a)))
     return minimum(sample * (a + b) * dr.rcp(maximum(a + root, Float(TINY))), Float(1))
-
-
-def entry(table: Any, index: UInt32, active: Bool | bool = True) -> Any:
-    """Four numbers of a table, or of the tensor that stands in its place outside of kernels."""
-    if dr.is_tensor_v(table):
-        return dr.gather(Array4f, table.array, index, active)
-    return table.at(index, active)

@@ -17,9 +17,10 @@ from djpt.core.warp import square_to_uniform_disk_concentric
 from djpt.description.plugin import HIDDEN, ParamFlags, TraversalCallback
 from djpt.description.properties import LARGEST, Allowed, Properties
 from djpt.description.registry import register_emitter
+from djpt.dispatch.tables import entry_at
 from djpt.distributions import Hierarchical2D
 from djpt.distributions.grids import luminance, side_by_side
-from djpt.distributions.hierarchical_2d import entry, place_in_cell
+from djpt.distributions.hierarchical_2d import place_in_cell
 from djpt.emitters.base import InfiniteEmitter, beam
 from djpt.emitters.extent import number
 from djpt.emitters.oriented import OrientedEmitter
@@ -165,8 +166,8 @@ class EnvironmentMap(InfiniteEmitter, OrientedEmitter):
         # Texels are looked up once, for what the lane does: to meet the map, or to sample it.
         first = dr.fma(row, self.columns, column)
         right = dr.select(column + 1 < self.columns, first + 1, first - column)
-        f00, f10 = entry(self.texels, first), entry(self.texels, right)
-        f01, f11 = entry(self.texels, first + self.columns), entry(self.texels, right + self.columns)
+        f00, f10 = entry_at(self.texels, first), entry_at(self.texels, right)
+        f01, f11 = entry_at(self.texels, first + self.columns), entry_at(self.texels, right + self.columns)
         sampled = place_in_cell(f00.w, f10.w, f01.w, f11.w, rest)
         place = Point2f(dr.select(met, met_place.x, sampled.x), dr.select(met, met_place.y, sampled.y))
         here = lerp(lerp(f00, f10, place.x), lerp(f01, f11, place.x), place.y)

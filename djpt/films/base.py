@@ -1,4 +1,4 @@
-"""The contract of films: which pixels exist, and how samples become channels."""
+"""The contract of films: which pixels exist, how samples become channels, and the sums of samples of scripts."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import drjit as dr
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.errors import ParameterError, RenderError, SceneError
-from djpt.jit.types import Bool, Color3f, Float, ScalarArray2u, TensorXf
+from djpt.jit.types import Bool, Color3f, Float, ScalarArray2u, TensorXf, UInt32
 from djpt.rfilters import Box, Gaussian, ReconstructionFilter
 
 if TYPE_CHECKING:
@@ -58,6 +58,8 @@ class Film(Plugin):
         default = Gaussian(Properties("gaussian", f"{props.node}.rfilter", {}))
         self._image: TensorXf | None = None
         self._image_names: tuple[str, ...] = ()
+        self._storage: ImageBlock | None = None
+        self._names: tuple[str, ...] = ()
         self._rfilter: ReconstructionFilter = props.child("rfilter", default)
 
     def _require_crop(self, node: str, offset: Sequence[int], size: Sequence[int]) -> None:
@@ -126,19 +128,35 @@ class Film(Plugin):
         """Nothing: films of colours have no response to single wavelengths."""
         return None
 
-    # ---- samples of scripts --------------------------------------------------------------
+    # ---- samples of scripts ----------------------------------------------------------
 
     def prepare(self, aovs: Sequence[str] = ()) -> int:
-        """Begin an image with further channels `aovs`; returns the number of all channels."""
-        raise NotImplementedError
+        """Begin an image with further channels `aovs`; returns the number of all channels.
+
+        Raises:
+            RenderError: A name appears twice.
+        """
+        names = (*("RGBAW" if self.m_flags & FilmFlags.Alpha else "RGBW"), *aovs)
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise RenderError(f"{self.id()}: the channel '{twice[0]}' appears twice")
+        self._names, self._image = names, None
+        self._storage = self._block(self._crop_size, self._crop_offset, False, False)
+        return len(names)
 
     def create_block(self, size: Sequence[int] = (0, 0), normalize: bool = False, borders: bool = False) -> ImageBlock:
-        """An empty image block with the film's channels and filter."""
-        raise NotImplementedError
+        """An empty image block with the film's channels and filter.
 
-    def put_block(self, block: ImageBlock) -> None:
-        """Add the sums of a block to those of the film."""
-        raise NotImplementedError
+        Args:
+            size: width and height; 0 x 0 is the crop window, widened by the filter's reach with `sample_border`.
+            normalize: see `ImageBlock`.
+            borders: whether it has a border for samples that reach beyond.
+        """
+        self._prepared()
+        width, height = (int(n) for n in size)
+        if (width, height) != (0, 0):
+            return self._block((width, height), (0, 0), borders, normalize)
+        return self._block(self._crop_size, self._crop_offset, borders or self._sample_border, normalize)
 
     def base_channels_count(self) -> int:
         """The number of channels of a colour."""
@@ -160,21 +178,81 @@ class Film(Plugin):
         """
         raise RenderError(f"{self.id()}: this film stores red, green and blue: pass them to ImageBlock.put")
 
-    def schedule_storage(self) -> None:
-        """Let the next `dr.eval` compute the sums."""
-        raise NotImplementedError
+    def _block(self, size: tuple[int, int], offset: tuple[int, int], border: bool, normalize: bool) -> ImageBlock:
+        from djpt.films.image_block import ImageBlock
+
+        return ImageBlock(size, offset, len(self._names), self._rfilter, border=border, normalize=normalize)
+
+    def _prepared(self) -> ImageBlock:
+        if self._storage is None:
+            raise RenderError(f"{self.id()}: the film holds no image yet: render, or call film.prepare() first")
+        return self._storage
+
+    def put_block(self, block: ImageBlock) -> None:
+        """Add the sums of a block to those of the film."""
+        self._prepared().put_block(block)
 
     def clear(self) -> None:
         """Set all sums to zero."""
-        raise NotImplementedError
+        if self._storage is not None:
+            self._storage.clear()
+
+    def schedule_storage(self) -> None:
+        """Let the next `dr.eval` compute the sums."""
+        dr.schedule(self._prepared().tensor())
 
     def develop(self, raw: bool = False) -> TensorXf:
-        """The image (H, W, C); with `raw` the sums that it is made from."""
-        raise NotImplementedError
+        """The image (H, W, C): sums over weights, in the channels of the pixel format and then the `aovs`.
+
+        With `raw` the sums themselves, in the channels of `prepare`.
+        """
+        if self._image is not None:
+            return self._raw_image() if raw else self._image
+        sums = self._prepared().tensor()
+        if raw:
+            return sums
+        height, width, count = sums.shape
+        pixel = dr.arange(UInt32, width * height) * count
+        values = [dr.gather(Float, sums.array, pixel + c) for c in range(count)]
+        base = self._names.index("W") + 1  # red, green, blue, perhaps alpha, weight
+        weight = values[base - 1]
+        inverse: Any = dr.select(weight == 0, 1, dr.rcp(dr.select(weight == 0, 1, weight)))
+        colors = self.channels(Color3f(*values[:3]), values[3])
+        channels = [value * inverse for value in [*colors, *values[base:]]]
+        image = dr.zeros(Float, width * height * len(channels))
+        first = dr.arange(UInt32, width * height) * len(channels)
+        for c, channel in enumerate(channels):
+            dr.scatter(image, channel, first + c)
+        return TensorXf(image, shape=(height, width, len(channels)))
+
+    def _raw_image(self) -> TensorXf:
+        """The kept image as sums of samples: each pixel with the weight 1."""
+        assert self._image is not None
+        height, width, count = self._image.shape
+        colors = self.base_channels_count()
+        if self.channel_names()[:3] != ("R", "G", "B") or self._image_names[:colors] != self.channel_names():
+            raise RenderError(f"{self.id()}: sums of samples aren't kept: render to the pixel format rgb or rgba")
+        parts = [self._image[:, :, :colors], dr.full(TensorXf, 1, (height, width, 1))]
+        return dr.concat([*parts, self._image[:, :, colors:]] if count > colors else parts, axis=2)
+
+    def developed_names(self) -> tuple[str, ...]:
+        """The names of the channels of `develop`."""
+        if self._image is not None:
+            return self._image_names
+        return (*self.channel_names(), *self._names[self._names.index("W") + 1 :])
 
     def bitmap(self, raw: bool = False) -> Any:
         """The result of `develop` as a `djpt.Bitmap`."""
-        raise NotImplementedError
+        from djpt.images.bitmap import Bitmap  # rendering needs none
+
+        image, names = self.develop(raw), self.developed_names()
+        if raw:
+            colors = self.base_channels_count()
+            names = self._names or (*names[:colors], "W", *names[colors:])
+        formats = Bitmap.PixelFormat
+        if raw or len(names) > self.base_channels_count():
+            return Bitmap(image, formats.MultiChannel, list(names))
+        return Bitmap(image, getattr(formats, "".join(names)))
 
     def write(self, path: str | Path) -> None:
         """Write the developed image to a file."""
@@ -188,7 +266,7 @@ class Film(Plugin):
 
     def reserve(self, names: Sequence[str]) -> None:
         """Keep a black image if there is none: a frozen function can replace one, but not add what wasn't there."""
-        if self._image is None:
+        if self._image is None and self._storage is None:
             width, height = self.crop_size()
             shape = (height, width, len(names))
             self.keep(TensorXf(dr.opaque(Float, 0, width * height * len(names)), shape=shape), names)

@@ -19,7 +19,7 @@ from djpt.jit.types import Bool, Color3f, Float, Point3f, UInt32, Vector3f
 from djpt.materials.pointer import BSDFPtr
 from djpt.scene.lights import BSDFs, Lights
 from djpt.scene.media_placement import Media
-from djpt.textures.uses import reads_uv
+from djpt.textures.base import reads_uv
 
 __all__ = ["SceneQueries", "closed_shapes", "is_inside"]
 

@@ -30,7 +30,7 @@ from djpt.scene.silhouettes import Silhouettes
 from djpt.sensors import Sensor
 from djpt.shapes import Shape
 from djpt.shapes.numbering import merged_last
-from djpt.textures.uses import check_textures
+from djpt.textures.base import check_textures
 
 __all__ = ["Renderer", "Scene", "find_sensor", "require_scene"]
 

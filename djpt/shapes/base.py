@@ -90,6 +90,9 @@ class Shape(ShapeQuestions):
     """Of meshes: how many triangles have one number in `SurfaceInteraction3f.prim_index`."""
     in_pieces: ClassVar[bool] = False
     """Whether the shape consists of many pieces, which stand in the BVH: see `djpt.geometry.curve_segments`."""
+    area: Float
+    """The total area in world space, of shapes that have this value."""
+
     in_group: bool = False
     """Whether the shape belongs to a `shapegroup`: it is then seen where instances put it, and nothing follows it."""
     _axes: Any = None
@@ -200,8 +203,7 @@ class Shape(ShapeQuestions):
     # ---- on the host: where the shape is -----------------------------------------
 
     def place(self, pool: AxisPool) -> None:
-        """Compute the values that kernels read, and find the axes; called again after each edit."""
-        raise NotImplementedError
+        """Compute the values that kernels read, and find the axes; called again after each edit. By default nothing."""
 
     def interval(self, direction: NDArray[np.float64]) -> tuple[float, float]:
         """The smallest and largest coordinate of the shape's points along `direction`."""
@@ -255,8 +257,8 @@ class Shape(ShapeQuestions):
         return n, Frame3f(s, dr.cross(n, s), n)
 
     def surface_area(self) -> Float:
-        """The total area in world space."""
-        raise NotImplementedError
+        """The total area in world space; by default the value `area`."""
+        return self.area
 
     def draw_point(self, sample: Point2f) -> PositionSample3f:
         """Sample a point uniformly by area: pdf = 1 / area."""

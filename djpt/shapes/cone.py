@@ -120,9 +120,6 @@ class Cone(Revolution):
         """The normal at points where `outward` is the unit vector away from the axis."""
         return (outward * self.cos - self.axis_z * self.sin) * self.side
 
-    def surface_area(self) -> Float:
-        return self.area
-
     def draw_point(self, sample: Point2f) -> PositionSample3f:
         outward, v = self.radial(sample.y), dr.sqrt(sample.x)
         z = v * self.length

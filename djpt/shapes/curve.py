@@ -14,7 +14,6 @@ from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.errors import ParameterError, SceneError
 from djpt.jit.kernels import own_copy, own_floats
-from djpt.shapes.axes import AxisPool
 from djpt.shapes.base import Shape
 from djpt.shapes.curve_segments import CurveSegments
 from djpt.shapes.mesh import MeshFile
@@ -92,9 +91,6 @@ class Curves(Shape):
         self.points = found.astype(np.float32)
 
     # ---- on the host -----------------------------------------------------------------
-
-    def place(self, pool: AxisPool) -> None:
-        """Do nothing: curves have no axes."""
 
     def placed_points(self) -> NDArray[np.float64]:
         """The control points in world space, (N, 4)."""

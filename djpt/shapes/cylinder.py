@@ -99,9 +99,6 @@ class Cylinder(Revolution):
         across, _ = self.across(p)
         return across * (self.side * dr.rsqrt(dr.squared_norm(across)))
 
-    def surface_area(self) -> Float:
-        return self.area
-
     def draw_point(self, sample: Point2f) -> PositionSample3f:
         n = self.radial(sample.y)
         p = dr.fma(n, self.radius, dr.fma(self.axis_z, (sample.x - 0.5) * self.length, self.center))

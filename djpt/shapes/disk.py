@@ -106,9 +106,6 @@ class Disk(FlatShape):
         there = r_squared > 0
         return dr.select(there, x * inv_r, 1), dr.select(there, y * inv_r, 0), dr.select(there, r_squared * inv_r, 0)
 
-    def surface_area(self) -> Float:
-        return self.area
-
     def draw_point(self, sample: Point2f) -> PositionSample3f:
         local = square_to_uniform_disk_concentric(sample)
         p = dr.fma(self.edge_u, local.x, dr.fma(self.edge_v, local.y, self.center))

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from djpt.core.transforms import ScalarTransform4f
 from djpt.description.properties import Properties
 from djpt.description.registry import register_shape
-from djpt.shapes.axes import AxisPool
 from djpt.shapes.curve_segments import CurveSegments, ellipsoid_pieces
 from djpt.shapes.ellipsoid_cloud import Cloud
 from djpt.shapes.mitsuba_api import ShapeType
@@ -49,9 +48,6 @@ class Ellipsoids(Cloud):
         """Centres (N, 3) and maps (N, 3, 3) in world space."""
         linear, shift = self.to_world.matrix[:3, :3], self.to_world.matrix[:3, 3]
         return self._table()[:, :3] @ linear.T + shift, linear @ self._half_axes()
-
-    def place(self, pool: AxisPool) -> None:
-        """Do nothing: there are no axes of a plane."""
 
     def interval(self, direction: NDArray[np.float64]) -> tuple[float, float]:
         centers, axes = self._placed()

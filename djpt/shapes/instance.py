@@ -12,7 +12,6 @@ from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_shape
 from djpt.errors import ParameterError, SceneError
-from djpt.shapes.axes import AxisPool
 from djpt.shapes.base import Shape
 from djpt.shapes.shapegroup import ShapeGroup
 
@@ -73,9 +72,6 @@ class Instance(Shape):
 
     def move_nested(self, frame: Frame) -> None:
         self.group = frame.copy_of(self.group)
-
-    def place(self, pool: AxisPool) -> None:
-        """Do nothing: what kernels read of an instance belongs to the scene's geometry."""
 
     def interval(self, direction: NDArray[np.float64]) -> tuple[float, float]:
         matrix = self.to_world.matrix

@@ -21,7 +21,6 @@ from djpt.description.properties import Properties
 from djpt.errors import FileError, ParameterError, SceneError
 from djpt.jit.kernels import as_float, own_copy, own_floats
 from djpt.jit.types import Float, Point2f, UInt32
-from djpt.shapes.axes import AxisPool
 from djpt.shapes.base import Shape
 from djpt.shapes.meshes.data import MeshData, clean, unit
 from djpt.shapes.meshes.making import Edits, check_prefix, of_arrays, of_zeros, rows
@@ -324,9 +323,6 @@ class Mesh(MeshQueries, Shape):
         props = {} if self._bsdf is None else {"bsdf": self._bsdf}
         return Mesh(self.id(), positions, indices, normals, texcoords, {**props, "flip_normals": self.flip_normals})
 
-    def place(self, pool: AxisPool) -> None:
-        """Do nothing: a mesh has no axes, and begins to be measured when it is made or edited."""
-
     def _measure(self, areas: NDArray[np.float64] | None = None) -> None:
         """Begin to measure the mesh anew; `areas` are those of its triangles if they are known."""
         self._measures = Measures(self.positions, self.indices, areas)
@@ -344,7 +340,7 @@ class Mesh(MeshQueries, Shape):
         return dr.opaque(UInt32, len(self.indices))
 
     @cached_property
-    def area(self) -> Float:
+    def area(self) -> Float:  # type: ignore[override]
         """The area of all triangles."""
         return as_float(self._measures.area)
 
@@ -374,9 +370,6 @@ class Mesh(MeshQueries, Shape):
         return self._measures.interval(direction)
 
     # ---- in kernels --------------------------------------------------------------------
-
-    def surface_area(self) -> Float:
-        return self.area
 
     def draw_point(self, sample: Point2f) -> PositionSample3f:
         # As in Mitsuba, y chooses the triangle by area and is stretched for use within the triangle.

@@ -111,9 +111,6 @@ class Paraboloid(Revolution):
         """The normal at `across` from the axis."""
         return dr.normalize(dr.fma(self.axis_z, -2 * self.focal_length, across)) * self.side
 
-    def surface_area(self) -> Float:
-        return self.area
-
     def draw_point(self, sample: Point2f) -> PositionSample3f:
         grown = dr.fma(sample.x, self.growth, 1)
         stretched = dr.cbrt(dr.square(grown))

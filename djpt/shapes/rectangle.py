@@ -67,9 +67,6 @@ class Rectangle(FlatShape):
         inside_v = dr.abs(dr.fma(d_v, t, o_v) - self.center_v) <= self.half_v
         return Hit(inside_u & inside_v & (t > 0) & (t < maxt), t, UInt32(numbers[0]))
 
-    def surface_area(self) -> Float:
-        return self.area
-
     def draw_point(self, sample: Point2f) -> PositionSample3f:
         x, y = dr.fma(2, sample.x, -1), dr.fma(2, sample.y, -1)
         p = dr.fma(self.edge_u, x, dr.fma(self.edge_v, y, self.center))

@@ -162,9 +162,6 @@ class Sphere(Shape):
         length = dr.squared_norm(s)
         return dr.select(length > 0, s * dr.rsqrt(length), self.axis_x)
 
-    def surface_area(self) -> Float:
-        return self.area
-
     def draw_point(self, sample: Point2f) -> PositionSample3f:
         local = square_to_uniform_sphere(sample)
         d = self.axis_x * local.x + self.axis_y * local.y + self.axis_z * local.z
