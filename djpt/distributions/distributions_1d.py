@@ -33,7 +33,7 @@ def previous(cdf: Float, index: UInt32, active: Bool | bool) -> Float:
 
 
 class Table:
-    """What all distributions have: a table, its running sums, and the sum of all."""
+    """The base of all distributions: a table, its running sums, and its total."""
 
     def __init__(self, values: Float) -> None:
         self._values = values

@@ -140,7 +140,7 @@ def write(f: Function, table: Value, entry: Value, numbers: Sequence[Value]) -> 
 
 
 FUNCTIONS = HostFunctions(add_grid_functions, PARAMETERS, small=1 << 12, few=1 << 12)
-"""What works on grids of many cells; others are left to NumPy."""
+"""The functions for grids of many cells; NumPy does the rest."""
 
 Numbers = NDArray[np.float64]
 Table = NDArray[np.float32]

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar, TypeVar
 
 import drjit as dr
 import numpy as np
@@ -17,6 +17,8 @@ from djpt.jit.kernels import aligned_floats, as_vector, if_stmt, lerp, maximum, 
 from djpt.jit.types import Bool, Float, Point2f, TensorXf, UInt32
 
 __all__ = ["Hierarchical2D", "place_in_cell"]
+
+T = TypeVar("T")
 
 LEAST = 2.0**-33
 """Stands for a sample of 0, which would lead into cells of weight 0."""
@@ -87,13 +89,8 @@ class Hierarchical2D(Plugin):
 
         All 0 where `active` is false; packets of lanes that are all inactive skip the work.
         """
-        if active is True:
-            return self._sample(sample)
         nothing = UInt32(0), UInt32(0), Point2f(0), Float(0)
-        found: tuple[UInt32, UInt32, Point2f, Float] = if_stmt(
-            (sample,), Bool(active), self._sample, lambda sample: nothing, label="quadtree"
-        )
-        return found
+        return found_where(active, self._sample, sample, nothing)
 
     def _sample(self, sample: Point2f) -> tuple[UInt32, UInt32, Point2f, Float]:
         column, row, rest = self._descend(sample)
@@ -103,13 +100,7 @@ class Hierarchical2D(Plugin):
 
     def sample_cell(self, sample: Point2f, active: Bool | bool = True) -> tuple[UInt32, UInt32, Point2f]:
         """Column and row of a cell, as by `sample`, and what is left of the sample, for `place_in_cell`."""
-        if active is True:
-            return self._descend(sample)
-        nothing = UInt32(0), UInt32(0), Point2f(0)
-        found: tuple[UInt32, UInt32, Point2f] = if_stmt(
-            (sample,), Bool(active), self._descend, lambda sample: nothing, label="quadtree"
-        )
-        return found
+        return found_where(active, self._descend, sample, (UInt32(0), UInt32(0), Point2f(0)))
 
     def _descend(self, sample: Point2f) -> tuple[UInt32, UInt32, Point2f]:
         x, y = maximum(sample.x, Float(LEAST)), maximum(sample.y, Float(LEAST))
@@ -142,6 +133,14 @@ class Hierarchical2D(Plugin):
 
 
 # ---- in kernels ----------------------------------------------------------------------------
+
+
+def found_where(active: Bool | bool, search: Callable[[Point2f], T], sample: Point2f, nothing: T) -> T:
+    """The result of a search by a sample; `nothing` where `active` is false: packets without any other lane skip it."""
+    if active is True:
+        return search(sample)
+    found: T = if_stmt((sample,), Bool(active), search, lambda sample: nothing, label="quadtree")
+    return found
 
 
 def below(x: Float, width: Float, share: Float) -> tuple[Bool, Float, Float]:

@@ -123,7 +123,7 @@ class Interpolated2D:
 
 
 class WithParameters(Interpolated2D):
-    """What densities with parameters share: parameters must be given, and sampling is prepared by `build_hierarchy`.
+    """The base of densities with parameters, which must be given; `build_hierarchy` prepares sampling.
 
     To be derived from before the kind of density.
     """

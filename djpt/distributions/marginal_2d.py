@@ -32,7 +32,7 @@ Sums = Callable[[UInt32, Any], Float]
 
 
 class Marginal2D(Interpolated2D):
-    """What both kinds have: running sums over the rows, and along rows."""
+    """The base of both kinds: running sums over the rows, and along rows."""
 
     def _prepare(self, slices: Numbers) -> None:
         along = self._along(slices)

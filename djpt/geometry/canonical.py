@@ -39,7 +39,7 @@ class LocalSurface:
 
 
 FLAT_KINDS = 3
-"""So many of the first `KINDS` are flat, or meshes in Mitsuba."""
+"""The number of kinds, the first of `KINDS`, that are flat, or meshes in Mitsuba."""
 
 
 def intersect(
@@ -205,7 +205,7 @@ SURFACES: dict[str, Callable[[Point3f], LocalSurface]] = {
 
 
 def hit_piece(m: Arithmetic, o: Any, d: Any, first: Any, last: Any) -> tuple[Any, Any]:
-    """Where a line goes into a piece from outside; its axis is that from the origin to (0, 0, 1).
+    """The entry of a line into a piece from outside; the piece's axis runs from the origin to (0, 0, 1).
 
     `first` and `last` are the radii at the ends. A piece is the hull of the balls with these radii about the ends; or,
     if `first` is negative, a tube without ends: the circles of radius r(z) across the axis, r(0) = -first.

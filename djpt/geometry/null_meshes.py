@@ -76,7 +76,7 @@ def exchanged(ways: NDArray[np.uint32]) -> NDArray[np.uint32]:
 
 
 def faces_inward(mesh: Mesh) -> NDArray[np.bool_]:
-    """Where the normals of triangles point to the inside, (F,).
+    """A mask of the triangles whose normals point to the inside, (F,).
 
     Vertex normals say where the outside is; a mirroring transform turns the others round: see
     `djpt.scene.media_placement`. Those of all corners decide together.

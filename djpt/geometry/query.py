@@ -99,7 +99,7 @@ class RayTree(Protocol):
 
 
 class Cursor(Protocol):
-    """How far a search has come."""
+    """The progress of a search."""
 
     t: Float
     """The distance of the closest hit so far, or of the ray's end."""
@@ -124,7 +124,7 @@ class Found:
     origin: Point3f
     """The ray's origin, moved near the triangles: see `djpt.geometry.query.enter`."""
     entry: Float
-    """How far the origin was moved, in units of the ray's `d`."""
+    """The distance that the origin was moved, in units of the ray's `d`."""
     near_t: Float
     """The distance of the hit from `origin`."""
     record: UInt32
@@ -149,7 +149,7 @@ class Near:
     t: Float
     """The distance from `origin`: exact also where the distance from a far origin would be rounded."""
     entry: Float | None
-    """How far the origin was moved, in units of the ray's `d`; None: not at all."""
+    """The distance that the origin was moved, in units of the ray's `d`; None: not at all."""
     b: Point2f | None
     """Barycentric weights of the second and third corner, if they are known."""
     inside: UInt32 | None

@@ -1,4 +1,4 @@
-"""What is asked for when rays are traced and films are added to: calls of compiled functions, or kernels alone.
+"""The requested way of tracing rays and adding to films: calls of compiled functions, or kernels alone.
 
 `djpt.geometry.engines` says what the names mean for rays.
 """

@@ -46,7 +46,7 @@ class ReconstructionFilter(Plugin):
         return result
 
     def eval_discretized(self, x: Float, active: Bool | bool = True) -> Float:
-        """The same as `eval`: kernels are exact here, where Mitsuba reads a table."""
+        """`eval`: kernels compute the filter exactly, where Mitsuba reads a table."""
         return self.eval(x, active)
 
     def formula(self, m: Arithmetic, x: Any) -> Any:

@@ -1,4 +1,4 @@
-"""What stands on the faces of a scene: BSDFs and lights, and which of them each face has."""
+"""The BSDFs and lights of a scene, and which of them each face has."""
 
 from __future__ import annotations
 

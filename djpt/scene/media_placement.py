@@ -311,7 +311,7 @@ class Media:
         return self._tracked_value(medium, lambda leaves, mine: leaves.extinction_at(mei, u, mine & active))
 
     def _tracked_value(self, medium: UInt32, value: Callable[[Medium, Bool], Color3f]) -> Color3f:
-        """What tracked media answer; 0 for all others."""
+        """The results of tracked media; 0 for all others."""
         answer = Color3f(0)
         for group in self._tracked():
             mine = self.ensemble.members(group, medium)

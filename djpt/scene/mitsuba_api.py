@@ -1,4 +1,4 @@
-"""What scripts ask a scene, with Mitsuba's names and arguments."""
+"""Queries of scenes by scripts, with Mitsuba's names and arguments."""
 
 from __future__ import annotations
 
@@ -344,7 +344,7 @@ class MitsubaScene(SceneQueries):
         return self.lights.sampling.pdf(observer(ref), ds, active)
 
     def eval_emitter_direction(self, ref: Observer, ds: DirectionSample3f, active: Bool | bool = True) -> Color3f:
-        """What arrives from the emitter of `ds` in its direction, whatever stands between.
+        """The light from the emitter of `ds` along its direction, without visibility.
 
         That is the radiance; of a point, intensity / dist^2; of parallel light, the irradiance.
         """

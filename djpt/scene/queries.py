@@ -41,14 +41,14 @@ def closed_shapes(geometry: Geometry) -> list[int]:
     return [i for i, shape in enumerate(geometry.contents.shapes) if shape.is_closed()]
 
 
-def is_inside(geometry: Geometry, p: Point3f, active: Bool | bool = True, shapes: Sequence[int] | None = None) -> Bool:
-    """Whether a point lies within an odd number of closed surfaces: of `shapes` (indices), or of all closed ones.
+def is_inside(geometry: Geometry, p: Point3f, active: Bool | bool = True) -> Bool:
+    """Whether a point lies within an odd number of closed surfaces.
 
     A ray from an inner point crosses a closed surface an odd number of times (the Jordan-Brouwer theorem);
     crossings of open shapes don't count. After each crossing the ray starts again RAY_EPSILON (1 + max abs(p))
     further on, so thinner walls may be missed.
     """
-    inner = closed_shapes(geometry) if shapes is None else shapes
+    inner = closed_shapes(geometry)
     count = len(geometry.contents.shapes)
     if not inner:
         return Bool(active) & Bool(False)
@@ -85,7 +85,7 @@ class SceneQueries(Plugin):
     lookup: Lookup
     """The way to read the plugins' values."""
     geometry: Geometry
-    """What rays hit."""
+    """The shapes, as ray queries see them."""
     bsdfs: BSDFs
     """The BSDFs of shapes."""
     lights: Lights

@@ -122,7 +122,7 @@ WITHOUT_EFFECT = ("allow_thread_reordering", "compact_acceleration_structures", 
 
 
 class Renderer(Protocol):
-    """What renders a scene: `djpt.rendering`, which is built on scenes and gives itself to each that it makes."""
+    """The renderer of a scene: `djpt.rendering`, which is built on scenes and gives itself to each that it makes."""
 
     def prepare_to_record(self, scene: Scene) -> None:
         """Make what can't be made while a frozen function is recorded that renders the scene."""
@@ -177,7 +177,7 @@ class Scene(MitsubaScene):
 
     @property
     def renderer(self) -> Renderer:
-        """What renders the scene.
+        """The renderer of the scene.
 
         Raises:
             RenderError: The scene wasn't made by `load_dict`.

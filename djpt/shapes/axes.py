@@ -138,7 +138,7 @@ class AxisPool:
                 axis.assign(wanted[0])
 
     def _keep(self, direction: NDArray[np.float64], previous: SignedAxis) -> SignedAxis | None:
-        """The previous axis if it still has the direction."""
+        """The previous axis if it still has the direction, in either sense; else None."""
         sense = -1 if previous.negative else 1
         unit = direction / np.linalg.norm(direction) * sense
         if np.abs(previous.axis.direction - unit).max() < ALIGNED:

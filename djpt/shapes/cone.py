@@ -15,9 +15,9 @@ from djpt.description.properties import Properties
 from djpt.description.registry import register_shape
 from djpt.jit.kernels import as_float
 from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
-from djpt.shapes.axes import AxisPool, ProjectedRay
+from djpt.shapes.axes import ProjectedRay
 from djpt.shapes.base import Hit
-from djpt.shapes.revolution import Revolution, along
+from djpt.shapes.revolution import Revolution
 
 __all__ = ["Cone"]
 
@@ -42,39 +42,20 @@ class Cone(Revolution):
         apex, axis = props.vector("apex", (0, 0, 1)), props.vector("axis", (0, 0, -1))
         angle = props.float("angle", 45.0, low=0.0, high=90.0, low_open=True, high_open=True)
         length = props.float("length", 1.0, low=0.0, low_open=True)
-        if not axis.any():
-            raise props.error("axis", "has length 0")
-        end = apex + axis * (length / float(np.linalg.norm(axis)))
-        self.stretch(along(apex, end, length * math.tan(math.radians(angle))), props.node)
+        self.stretch_along(props, apex, axis, length, length * math.tan(math.radians(angle)))
 
     # ---- on the host ---------------------------------------------------------------
 
-    def place(self, pool: AxisPool) -> None:
-        matrix = self.to_world.matrix
-        lengths = np.linalg.norm(matrix[:3, :3], axis=0)
-        directions, apex = (matrix[:3, :3] / lengths).T, matrix[:3, 3]
-        radius, length = float(lengths[0]), float(lengths[2])
+    def measure(self, radius: float, length: float) -> None:
         slant = math.hypot(radius, length)
-        self._axes = pool.find(directions[2:], self._axes)
-        self._host = (apex, matrix[:3, 2], radius)
-
-        self.set_frame(apex, directions)
-        self.slope, self.length = as_float(radius / length), as_float(length)
+        self.slope, self.area = as_float(radius / length), as_float(math.pi * radius * slant)
         self.cos, self.sin = as_float(length / slant), as_float(radius / slant)
-        self.side = as_float(-1.0 if self.flip_normals else 1.0)
-        self.area = as_float(math.pi * radius * slant)
-        # Measured along the pool's axis, which may point the other way.
-        axis = self._axes[0].axis
-        self.apex_place = as_float(float(apex.dot(axis.direction)))
         self.half_length = as_float(0.5 * length)
         self.middle = as_float(-0.5 * length if self._axes[0].negative else 0.5 * length)
         self.cos_squared, self.sin_squared = as_float((length / slant) ** 2), as_float((radius / slant) ** 2)
 
     def interval(self, direction: NDArray[np.float64]) -> tuple[float, float]:
-        apex, edge, radius = self._host
-        tip, base = apex.dot(direction), (apex + edge).dot(direction)
-        across = direction - edge * (edge.dot(direction) / edge.dot(edge))
-        reach = radius * float(np.linalg.norm(across))
+        tip, base, reach = self.ends(direction)
         return float(min(tip, base - reach)), float(max(tip, base + reach))
 
     # ---- in kernels ----------------------------------------------------------------
@@ -85,7 +66,7 @@ class Cone(Revolution):
         There q . d = 0, so with m = q x d the discriminant is cos^2 (sin^2 |m|^2 - m_z^2), which doesn't cancel far
         from the cone.
         """
-        o, d, o_z, d_z = self.split(ray, self.apex_place)
+        o, d, o_z, d_z = self.split(ray)
         length_squared = dr.fma(d_z, d_z, dr.squared_norm(d))
         shift = -dr.fma(o_z, d_z, dr.dot(o, d)) * dr.rcp(length_squared)
         q, z = dr.fma(d, shift, o), dr.fma(d_z, shift, o_z)
@@ -111,10 +92,7 @@ class Cone(Revolution):
         return dr.abs(z - self.middle) <= self.half_length
 
     def normal_at(self, p: Point3f) -> Vector3f:
-        across, _ = self.across(p)
-        length = dr.squared_norm(across)
-        outward = dr.select(length > 0, across * dr.rsqrt(length), self.axis_x)
-        return self._tilted(outward)
+        return self._tilted(self.outward(self.across(p)[0]))
 
     def _tilted(self, outward: Vector3f) -> Vector3f:
         """The normal at points where `outward` is the unit vector away from the axis."""
@@ -133,9 +111,7 @@ class Cone(Revolution):
 
     def uv_and_partials(self, p: Point3f, face: UInt32) -> tuple[Point2f, Vector3f, Vector3f]:
         across, z = self.across(p)
-        length = dr.squared_norm(across)
-        outward = dr.select(length > 0, across * dr.rsqrt(length), self.axis_x)
-        dv = (self.axis_z + outward * self.slope) * self.length
+        dv = (self.axis_z + self.outward(across) * self.slope) * self.length
         return Point2f(self.turn(across), z * dr.rcp(self.length)), 2 * math.pi * self.around(across), dv
 
 

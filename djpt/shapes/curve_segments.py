@@ -21,7 +21,7 @@ __all__ = [
 ]
 
 TOLERANCE = 1 / 128
-"""How far a piece of a cubic curve may be from it, in radii."""
+"""The largest distance between a cubic curve and its pieces, in radii."""
 MOST = 32
 """The largest number of pieces of a segment."""
 WORDS = 8
@@ -48,7 +48,7 @@ class CurveSegments:
     boxes: Array
     """The boxes about the pieces, (P, 6): low corner, high corner."""
     rows: NDArray[np.uint32]
-    """What shading reads, (P, WORDS)."""
+    """The rows that shading reads, (P, WORDS)."""
     points: Array
     """The control points of curves, (N, 4): place and radius."""
 

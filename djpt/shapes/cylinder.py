@@ -17,7 +17,7 @@ from djpt.description.registry import register_shape
 from djpt.errors import SceneError
 from djpt.jit.kernels import as_float
 from djpt.jit.types import Float, Point2f, Point3f, UInt32, Vector3f
-from djpt.shapes.axes import AxisPool, ProjectedRay
+from djpt.shapes.axes import ProjectedRay
 from djpt.shapes.base import Hit
 from djpt.shapes.mitsuba_api import ShapeType
 from djpt.shapes.revolution import Revolution, along
@@ -42,6 +42,7 @@ class Cylinder(Revolution):
     shape_kind = ShapeType.Cylinder
     has_parameterization = True
     canonical = "cylinder"
+    origin = 0.5  # halfway along the axis rounding errors are smallest
     values = dict.fromkeys(("center", "axis_x", "axis_y", "axis_z", "radius", "length", "side", "area"), HIDDEN)
 
     def __init__(self, props: Properties) -> None:
@@ -54,35 +55,19 @@ class Cylinder(Revolution):
 
     # ---- on the host ---------------------------------------------------------------
 
-    def place(self, pool: AxisPool) -> None:
-        matrix = self.to_world.matrix
-        lengths = np.linalg.norm(matrix[:3, :3], axis=0)
-        directions = (matrix[:3, :3] / lengths).T
-        radius, length = float(lengths[0]), float(lengths[2])
-        self._axes = pool.find(directions[2:], self._axes)
-        self._host = (matrix[:3, 3], matrix[:3, 2], radius)
-
-        # The origin of coordinates in kernels: halfway along the axis, where rounding errors are smallest.
-        center = matrix[:3, 3] + 0.5 * matrix[:3, 2]
-        self.set_frame(center, directions)
-        self.radius, self.length = as_float(radius), as_float(length)
-        self.side = as_float(-1.0 if self.flip_normals else 1.0)
-        self.area = as_float(2 * math.pi * radius * length)
+    def measure(self, radius: float, length: float) -> None:
+        self.radius, self.area = as_float(radius), as_float(2 * math.pi * radius * length)
         self.radius_squared, self.half_length = as_float(radius**2), as_float(0.5 * length)
-        self.middle = as_float(float(center.dot(self._axes[0].axis.direction)))
 
     def interval(self, direction: NDArray[np.float64]) -> tuple[float, float]:
-        base, edge, radius = self._host
-        ends = base.dot(direction), (base + edge).dot(direction)
-        across = direction - edge * (edge.dot(direction) / edge.dot(edge))
-        reach = radius * float(np.linalg.norm(across))
-        return float(min(ends) - reach), float(max(ends) + reach)
+        start, end, reach = self.ends(direction)
+        return float(min(start, end)) - reach, float(max(start, end)) + reach
 
     # ---- in kernels ----------------------------------------------------------------
 
     def intersect(self, ray: ProjectedRay, maxt: Float, numbers: Sequence[int]) -> Hit:
         # As for the sphere, from the point closest to the axis: the discriminant then doesn't cancel.
-        o, d, o_z, d_z = self.split(ray, self.middle)
+        o, d, o_z, d_z = self.split(ray)
         inv_length_squared = dr.rcp(dr.squared_norm(d))
         middle = -dr.dot(o, d) * inv_length_squared
         closest = dr.fma(d, middle, o)

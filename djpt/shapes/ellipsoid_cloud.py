@@ -159,7 +159,7 @@ class Cloud(Shape):
         self.numbers: Any = own_floats(data.astype(np.float32).ravel())
         self.count = count
         self.channels: dict[str, int] = {}
-        """How many each attribute has; its numbers are the attribute of this name of the shape."""
+        """The number of channels of each attribute; the shape holds its numbers under the same name."""
         for name, table in attributes.items():
             if hasattr(self, name):
                 raise props.error(name, "can't be the name of an attribute: it has another meaning")

@@ -214,7 +214,7 @@ NARROW = 2.0**-22
 
 @dataclass
 class Zero:
-    """Where a function first changes its sign."""
+    """The first change of sign of a function along a ray."""
 
     found: Bool
     t: Float
@@ -225,15 +225,15 @@ class Search:
     """Loop state. The sign of `f` is turned so that it is positive at the start."""
 
     t: Float
-    """Where `f` is evaluated next."""
+    """The distance at which `f` is evaluated next."""
     low: Float
     f_low: Float
     high: Float
     f_high: Float
     count: UInt32
-    """How many times the bracket was narrowed."""
+    """The number of times that the bracket was narrowed."""
     tries: UInt32
-    """How many times the function was called."""
+    """The number of evaluations."""
     bracketed: Bool
     crossed: Bool
     """Whether the last point was beyond the zero."""

@@ -420,7 +420,7 @@ class MeshFile(Mesh):
             raise SceneError(f"{props.node}: 'filename': {error}") from None
 
     def part(self, props: Properties) -> Hashable:
-        """What tells apart the meshes that one file may hold; by default it holds one."""
+        """A key that identifies one of several meshes in a file; by default a file holds one mesh."""
         return None
 
     @staticmethod

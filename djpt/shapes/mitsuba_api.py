@@ -1,4 +1,4 @@
-"""What scripts ask a shape by itself: its kind, what belongs to it, its extent, and rays against it alone."""
+"""Queries of single shapes by scripts: kind, nested plugins, extent, and rays traced against the shape alone."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ class TextureAttributes(Plugin):
         return Float(self._attribute(name, si, active)) if texture is None else texture.eval_1(si, active)
 
     def eval_attribute_3(self, name: str, si: Any, active: Bool | bool = True) -> Color3f:
-        """The same as `eval_attribute`."""
+        """`eval_attribute`: colours have three channels."""
         return self.eval_attribute(name, si, active)
 
     def eval_attribute_x(self, name: str, si: Any, active: Bool | bool = True) -> ArrayXf:

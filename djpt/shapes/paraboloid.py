@@ -15,9 +15,9 @@ from djpt.description.properties import Properties
 from djpt.description.registry import register_shape
 from djpt.jit.kernels import as_float
 from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
-from djpt.shapes.axes import AxisPool, ProjectedRay
+from djpt.shapes.axes import ProjectedRay
 from djpt.shapes.base import Hit
-from djpt.shapes.revolution import Revolution, along
+from djpt.shapes.revolution import Revolution
 
 __all__ = ["Paraboloid"]
 
@@ -44,36 +44,21 @@ class Paraboloid(Revolution):
         vertex, axis = props.vector("vertex", (0, 0, 0)), props.vector("axis", (0, 0, 1))
         focal_length = props.float("focal_length", 0.25, low=0.0, low_open=True)
         length = props.float("length", 1.0, low=0.0, low_open=True)
-        if not axis.any():
-            raise props.error("axis", "has length 0")
-        end = vertex + axis * (length / float(np.linalg.norm(axis)))
-        self.stretch(along(vertex, end, math.sqrt(4 * focal_length * length)), props.node)
+        self.stretch_along(props, vertex, axis, length, math.sqrt(4 * focal_length * length))
 
     # ---- on the host ---------------------------------------------------------------
 
-    def place(self, pool: AxisPool) -> None:
-        matrix = self.to_world.matrix
-        lengths = np.linalg.norm(matrix[:3, :3], axis=0)
-        directions, vertex = (matrix[:3, :3] / lengths).T, matrix[:3, 3]
-        radius, length = float(lengths[0]), float(lengths[2])
+    def measure(self, radius: float, length: float) -> None:
         focal_length = radius**2 / (4 * length)
-        self._axes = pool.find(directions[2:], self._axes)
-        self._host = (vertex, directions[2], radius, length)
-
-        self.set_frame(vertex, directions)
-        self.focal_length, self.length, self.radius = (as_float(x) for x in (focal_length, length, radius))
+        self.focal_length, self.radius = as_float(focal_length), as_float(radius)
         # The area up to r is 8 pi f^2 / 3 ((1 + r^2 / 4 f^2)^(3/2) - 1).
         growth = (1 + length / focal_length) ** 1.5 - 1
         self.growth, self.area = as_float(growth), as_float(8 * math.pi * focal_length**2 / 3 * growth)
-        self.side = as_float(-1.0 if self.flip_normals else 1.0)
-        # Measured along the pool's axis, which may point the other way.
-        axis = self._axes[0].axis
-        self.vertex_place = as_float(float(vertex.dot(axis.direction)))
         self.along_axis = as_float(-1.0 if self._axes[0].negative else 1.0)
 
     def interval(self, direction: NDArray[np.float64]) -> tuple[float, float]:
-        vertex, axis, radius, length = self._host
-        along_axis = float(direction.dot(axis))
+        vertex, edge, radius, length = self._host
+        along_axis = float(direction.dot(edge / length))
         across = math.sqrt(max(0.0, float(direction.dot(direction)) - along_axis**2))
         # At the fraction s of the rim's radius, the extent is s^2 length along the axis, and s radius across it.
         slope, bend = across * radius, along_axis * length
@@ -88,7 +73,7 @@ class Paraboloid(Revolution):
 
     def intersect(self, ray: ProjectedRay, maxt: Float, numbers: Sequence[int]) -> Hit:
         """Solve |p|^2 = 4 f z, p across the axis, from the point of the ray closest to the vertex."""
-        o, d, o_z, d_z = self.split(ray, self.vertex_place)
+        o, d, o_z, d_z = self.split(ray)
         o_z, d_z = o_z * self.along_axis, d_z * self.along_axis
         shift = -dr.fma(o_z, d_z, dr.dot(o, d)) * dr.rcp(dr.fma(d_z, d_z, dr.squared_norm(d)))
         q, z = dr.fma(d, shift, o), dr.fma(d_z, shift, o_z)
@@ -135,8 +120,7 @@ class Paraboloid(Revolution):
         across, _ = self.across(p)
         squared = dr.squared_norm(across)
         length = dr.sqrt(squared)
-        outward = dr.select(squared > 0, across * dr.rsqrt(squared), self.axis_x)
-        dv = dr.fma(self.axis_z, length * dr.rcp(2 * self.focal_length), outward) * self.radius
+        dv = dr.fma(self.axis_z, length * dr.rcp(2 * self.focal_length), self.outward(across)) * self.radius
         return Point2f(self.turn(across), length * dr.rcp(self.radius)), 2 * math.pi * self.around(across), dv
 
 

@@ -70,11 +70,7 @@ class ShapePtr(Pointer[Shape]):
 
     def sample_position(self, time: Any, sample: Any, active: Bool | bool = True) -> PositionSample3f:
         """Sample a point uniformly by area; the pdf is 0 where there is no shape."""
-        ps = self.ensemble.call(
-            self.index, self.lookup, lambda shape: shape.sample_position(time, Point2f(sample), active), None
-        )
-        ps.pdf = dr.select(self.is_valid() & active, ps.pdf, 0)
-        return ps
+        return self._sampled(lambda shape: shape.sample_position(time, Point2f(sample), active), active)
 
     def pdf_position(self, ps: PositionSample3f, active: Bool | bool = True) -> Float:
         """The density of `sample_position`, per unit area."""
@@ -82,15 +78,17 @@ class ShapePtr(Pointer[Shape]):
 
     def sample_direction(self, it: Observer, sample: Any, active: Bool | bool = True) -> DirectionSample3f:
         """Sample a point of the shape as seen from `it`; the pdf is 0 where there is no shape."""
-        ds = self.ensemble.call(
-            self.index, self.lookup, lambda shape: shape.sample_direction(it, Point2f(sample), active), None
-        )
-        ds.pdf = dr.select(self.is_valid() & active, ds.pdf, 0)
-        return ds
+        return self._sampled(lambda shape: shape.sample_direction(it, Point2f(sample), active), active)
 
     def pdf_direction(self, it: Observer, ps: DirectionSample3f, active: Bool | bool = True) -> Float:
         """The density of `sample_direction`, per unit solid angle."""
         return self._ask(lambda shape: shape.pdf_direction(it, ps, active), Float(0))
+
+    def _sampled(self, method: Callable[[Shape], Any], active: Bool | bool) -> Any:
+        """The samples of the shapes, with the pdf 0 where there is none."""
+        sample = self._ask(method, None)
+        sample.pdf = dr.select(self.is_valid() & active, sample.pdf, 0)
+        return sample
 
     def _ask(self, method: Callable[[Shape], Any], otherwise: Any) -> Any:
         return self.ensemble.call(self.index, self.lookup, method, otherwise)

@@ -1,18 +1,19 @@
-"""The base of cylinders and cones: an axis, and the angle around it."""
+"""The base of surfaces of revolution: an axis, and the angle around it."""
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, ClassVar
 
 import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
 from djpt.core.transforms import ScalarTransform4f
-from djpt.jit.kernels import as_vector
+from djpt.description.properties import Properties
+from djpt.jit.kernels import as_float, as_vector
 from djpt.jit.types import Bool, Float, Point2f, Point3f, Vector3f
-from djpt.shapes.axes import ProjectedRay
+from djpt.shapes.axes import AxisPool, ProjectedRay
 from djpt.shapes.base import Shape
 
 __all__ = ["Revolution", "along"]
@@ -24,10 +25,26 @@ class Revolution(Shape):
     `to_world` maps the unit shape about +z to the world; subclasses declare the attributes below as `values`.
     """
 
+    origin: ClassVar[float] = 0.0
+    """The place of `center` on the axis, from 0 at its start to 1 at its end."""
+
     center: Vector3f
     axis_x: Vector3f
     axis_y: Vector3f
     axis_z: Vector3f
+    length: Float
+    """The length of the axis."""
+    side: Float
+    """The sign of normals: -1 with `flip_normals`."""
+
+    def stretch_along(
+        self, props: Properties, start: NDArray[np.float64], axis: NDArray[np.float64], length: float, radius: float
+    ) -> None:
+        """Let the shape start at a point, and reach a length and a radius along `axis`; that must not be zero."""
+        if not axis.any():
+            raise props.error("axis", "has length 0")
+        end = start + axis * (length / float(np.linalg.norm(axis)))
+        self.stretch(along(start, end, radius), props.node)
 
     def misfit(self, matrix: NDArray[np.float64]) -> str | None:
         lengths = np.linalg.norm(matrix[:3, :3], axis=0)
@@ -37,21 +54,43 @@ class Revolution(Shape):
             return f"the 'to_world' of a {name} may only scale uniformly, rotate, mirror and translate"
         return None
 
-    def set_frame(self, center: NDArray[np.float64], directions: NDArray[np.float64]) -> None:
-        """Set the values by which kernels find local coordinates; `directions` are the rows x, y, z."""
+    # ---- on the host ---------------------------------------------------------------
+
+    def place(self, pool: AxisPool) -> None:
+        matrix = self.to_world.matrix
+        lengths = np.linalg.norm(matrix[:3, :3], axis=0)
+        directions, start, edge = (matrix[:3, :3] / lengths).T, matrix[:3, 3], matrix[:3, 2]
+        radius, length = float(lengths[0]), float(lengths[2])
+        self._axes = pool.find(directions[2:], self._axes)
+        self._host = (start, edge, radius, length)
+        center = start + self.origin * edge if self.origin else start
         self.center = as_vector(center)
         self.axis_x, self.axis_y, self.axis_z = (as_vector(d) for d in directions)
+        self.length, self.side = as_float(length), as_float(-1.0 if self.flip_normals else 1.0)
+        # Measured along the pool's axis, which may point the other way.
+        self.center_place = as_float(float(center.dot(self._axes[0].axis.direction)))
+        self.measure(radius, length)
+
+    def measure(self, radius: float, length: float) -> None:
+        """Compute the values of the subclass, for a radius across the axis and a length along it."""
+        raise NotImplementedError
+
+    def ends(self, direction: NDArray[np.float64]) -> tuple[float, float, float]:
+        """The coordinates of the axis' ends along a direction, and how far a circle of the radius reaches beyond."""
+        start, edge, radius, _ = self._host
+        across = direction - edge * (edge.dot(direction) / edge.dot(edge))
+        return start.dot(direction), (start + edge).dot(direction), radius * float(np.linalg.norm(across))
 
     # ---- in kernels ----------------------------------------------------------------
 
-    def split(self, ray: ProjectedRay, middle: Float) -> tuple[Any, Any, Float, Float]:
-        """Split a ray into parts across and along the axis, relative to `center`, which is at `middle` along the axis.
+    def split(self, ray: ProjectedRay) -> tuple[Any, Any, Float, Float]:
+        """Split a ray into parts across and along the axis, relative to `center`.
 
         Returns origin across, direction across, origin along, direction along.
         """
         axis = self._axes[0].axis
         o_z, d_z, _ = ray.onto(axis)
-        o_z = o_z - middle
+        o_z = o_z - self.center_place
         if axis.coordinate is None:
             o = dr.fma(axis.vector, -o_z, ray.ray.o - self.center)
             return o, dr.fma(axis.vector, -d_z, ray.ray.d), o_z, d_z
@@ -88,6 +127,11 @@ class Revolution(Shape):
     def around(self, across: Vector3f) -> Vector3f:
         """The derivative of the position by phi, for a point at `across` from the axis."""
         return self.axis_y * dr.dot(across, self.axis_x) - self.axis_x * dr.dot(across, self.axis_y)
+
+    def outward(self, across: Vector3f) -> Vector3f:
+        """The unit vector away from the axis, for a point at `across` from it; `axis_x` on the axis."""
+        squared = dr.squared_norm(across)
+        return dr.select(squared > 0, across * dr.rsqrt(squared), self.axis_x)
 
     def turn(self, across: Vector3f) -> Float:
         """The angle around the axis as phi / 2 pi, from 0 to 1."""

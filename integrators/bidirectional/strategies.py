@@ -69,7 +69,7 @@ def layer_names(max_depth: int) -> Sequence[str]:
 
 
 class StrategyImages:
-    """Books the light of a sample, if asked for, under the strategy that has found it."""
+    """Sums of the light of samples by the strategy that has found it, if they are asked for."""
 
     def __init__(self, sink: Sink, position: Point2f, by_strategy: bool) -> None:
         """`position`: the camera ray's in the crop window, which strategies with t > 1 light."""

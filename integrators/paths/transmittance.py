@@ -25,7 +25,7 @@ __all__ = ["Aim", "null_surfaces", "null_transmittance", "transmittance"]
 
 @dataclass
 class PassedMedia:
-    """What a shadow ray has passed of media so far, as derivatives need it: loop state."""
+    """The media that a shadow ray has passed so far, as derivatives need them: loop state."""
 
     lengths: list[Float]
     """The length so far through each medium."""
@@ -38,7 +38,7 @@ class PassedMedia:
     medium: UInt32
     """The medium at that point."""
     stream: IndependentStream
-    """What takes the point."""
+    """The random numbers by which the point is chosen."""
 
 
 @dataclass
@@ -54,7 +54,7 @@ class Shadow:
     left: Color3f
     """The transmittance so far."""
     passed: PassedMedia | None
-    """What it has passed so far; None unless there are derivatives."""
+    """The media passed so far; None unless there are derivatives."""
     sampler: Any
     active: Bool
 
@@ -209,7 +209,7 @@ class ShadowWalk:
 
 
 def begun(scene: Scene, ray: Ray3f) -> PassedMedia:
-    """What a shadow ray has passed at its origin: nothing."""
+    """The state at the origin of a shadow ray, which has passed nothing."""
     lengths = [Float(0) for _ in scene.media.plugins]
     return PassedMedia(lengths, Float(0), Point3f(0), Float(0), UInt32(scene.media.vacuum), own_stream(ray, ray.maxt))
 
@@ -268,7 +268,7 @@ def are_null(scene: Scene) -> list[bool]:
 
 @dataclass
 class Aim:
-    """What a shadow ray is aimed at."""
+    """The target of a shadow ray."""
 
     place: Point3f
     """The light's place, or the direction to it."""
@@ -277,7 +277,7 @@ class Aim:
 
     @staticmethod
     def of(ray: Ray3f) -> Aim:
-        """That of a shadow ray of light sampling."""
+        """The target of a shadow ray from light sampling."""
         finite = ray.maxt < dr.inf
         return Aim(Point3f(dr.select(finite, ray.o + ray.d, ray.d)), finite)
 

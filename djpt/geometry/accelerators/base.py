@@ -33,11 +33,11 @@ class Statistics:
     nodes: int
     """Nodes of a tree, cells of a grid."""
     references: int
-    """How often primitives occur in leaves or cells."""
+    """The number of references to primitives in leaves or cells."""
     depth: int
     """Levels of nodes in the tree."""
     sah_cost: float
-    """How many nodes and primitives a line through the structure's box meets on average; see `sah_cost`."""
+    """The mean number of nodes and primitives that a line through the structure's box meets; see `sah_cost`."""
     bytes: int
     """Memory that kernels read."""
     build_seconds: float

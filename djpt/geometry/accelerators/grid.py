@@ -100,7 +100,7 @@ class UniformGrid(SearchedTable):
         return Walk(walk.cell, item, end, leave, walk.found, walk.active)
 
     def _exits(self, ray: Approach, cell: list[UInt32]) -> list[Float]:
-        """Where the ray crosses the far planes of a cell; computed anew for each cell, so no errors add up."""
+        """The distances to the far planes of a cell, computed anew for each cell, so that no errors add up."""
         result = []
         for a in range(3):
             plane: Any = dr.fma(Float(cell[a] + dr.select(ray.inv[a] > 0, UInt32(1), 0)), self._size[a], self._low[a])
@@ -144,7 +144,7 @@ class UniformGrid(SearchedTable):
 
 
 def resolution(extent: NDArray[np.float32], cells: float) -> NDArray[np.int64]:
-    """How many cells along each axis make about `cells` cubes."""
+    """The numbers of cells along the axes for about `cells` cubes in all."""
     size = np.maximum(extent.astype(np.float64), 1e-3 * float(extent.max()))
     side = float((size.prod() / cells) ** (1 / 3))
     return np.clip(np.round(size / side).astype(np.int64), 1, MAX_CELLS)

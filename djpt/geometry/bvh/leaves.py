@@ -1,4 +1,4 @@
-"""What a BVH is built over: the meshes of a part of the scene, and the contents of leaves.
+"""The input of a BVH: the meshes of a part of the scene, and the contents of leaves.
 
 Leaves hold triangles, or shapes and instances that rays reach through a transform. A path tracer needs the normal and
 the direction of dp/du at every vertex of a path. Both are the same all over a triangle, so its record holds them, and
@@ -21,7 +21,7 @@ __all__ = ["Extent", "MeshPart", "MixedLeaves", "PlacedLeaves", "TriangleLeaves"
 
 
 SLACK = 4e-7
-"""How much boxes grow, per unit of the tree's diagonal."""
+"""The growth of boxes, per unit of the tree's diagonal."""
 
 
 @dataclass

@@ -83,7 +83,7 @@ class Job:
         self._weight = None if self.sensor.weight == 1 else dr.opaque(Float, self.sensor.weight)
 
     def with_scene(self, scene: Scene) -> Job:
-        """The same job over another view of the scene."""
+        """The job over another view of the scene."""
         return replace(self, scene=scene)
 
     @property

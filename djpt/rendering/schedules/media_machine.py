@@ -61,7 +61,7 @@ class MediaMachine(Flat):
 
 @dataclass
 class Hit:
-    """Where a ray ends."""
+    """The end of a ray."""
 
     t: Float
     face: UInt32
@@ -76,9 +76,9 @@ class Lane:
     """The ray that is being tracked."""
     hit: Hit
     track: Track
-    """How far it has got; its random numbers are those of the lane."""
+    """The progress along that ray; its random numbers are those of the lane."""
     end: Float
-    """Where the track ends."""
+    """The distance at which the track ends."""
     shadow: Bool
     """True where the ray is a shadow ray."""
     aim: Aim
@@ -238,7 +238,7 @@ class Walk:
         )
 
     def _closest(self, ray: Ray3f, path: PathState, shadow: Bool) -> Hit:
-        """Where a ray ends."""
+        """The end of a ray."""
         pi = self._scene.closest_hit(ray, through_lights=self._integrator.path_passes_lights(path, shadow))
         return Hit(pi.t, pi.face, pi.near)
 

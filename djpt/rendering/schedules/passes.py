@@ -44,11 +44,11 @@ FIRST = 2**20
 """The number of samples of the first pass."""
 
 GROWTH = 8
-"""How many times more samples a pass may have than the one before, whose time may have been that of a compiler."""
+"""The largest ratio of the samples of a pass to those of the one before, which may have waited for a compiler."""
 
 
 class Pace:
-    """How fast a job's passes are.
+    """The speed of a job's passes.
 
     A pass takes about a second while somebody waits for its end: to see progress, or to stop. The clock decides how the
     samples are split into passes, which changes no bit of the image.
@@ -90,7 +90,7 @@ SUMMED_PIXELS = 2**20
 """The number of pixels of a band when samples are added up in registers: 16 bytes of memory and more for each."""
 
 FILTERED_PIXELS = 2**18
-"""The same with a filter, whose sums take up to a kilobyte per pixel."""
+"""The number of pixels of a band with a filter, whose sums take up to a kilobyte per pixel."""
 
 STORED_PIXELS = 2**16, 2**17
 """The numbers of pixels of a band when samples are stored: with many per pixel, and with few."""
@@ -181,7 +181,7 @@ def sums_of_bands(job: Job, add: AddToFilm, pixels: int, spp: int) -> Iterator[t
 
 
 def sums_of_passes(job: Job, add: AddToFilm, pixels: int, spp: int) -> Iterator[tuple[Band, list[Float], int]]:
-    """The same with passes over all bands, one after the other, so that all pixels have some samples at any time.
+    """`sums_of_bands` with passes over all bands, one after the other: at any time all pixels have some samples.
 
     The sums of all lanes are held meanwhile. The first sample of each pixel is always taken.
     """

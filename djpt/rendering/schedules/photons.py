@@ -62,7 +62,7 @@ class Seen:
     distance: Float
     """The length of the way from where the ray begins."""
     beside: Float
-    """How far away the camera ray of the next column is after the same way, mirrors aside."""
+    """The distance to the camera ray of the next column after a path of the same length, mirrors aside."""
     there: Bool
     """False where a ray leads to no such point."""
 
@@ -87,7 +87,7 @@ class Look:
 
 
 def seen_from(job: Job) -> Seen:
-    """What the sensor of a job sees, in equal steps over the picture."""
+    """The points that the sensor of a job sees, at equal steps over the picture."""
     scene = job.scene
     number = dr.arange(UInt32, SIDE * SIDE) + dr.opaque(UInt32, 0)
     row = number // SIDE

@@ -35,7 +35,7 @@ class Lane:
 
 
 def lanes(count: int) -> UInt32:
-    """As many lanes as follow `count` light paths, with the numbers of their first ones: 0, 1, .."""
+    """The lanes that follow `count` light paths, by the numbers of their first paths: 0, 1, .."""
     return dr.arange(UInt32, min(LANES, count))
 
 

@@ -43,7 +43,7 @@ class Splatting(Schedule):
         return dr.concat([image, picture(further, *size)], axis=2) if further else image
 
     def samples_with(self, splats: Splats) -> SplattedSamples:
-        """What computes the samples of an image, whose light for other pixels goes to `splats`."""
+        """The function that computes samples, and adds their light for other pixels to `splats`."""
         return SplattedSamples(splats)
 
 

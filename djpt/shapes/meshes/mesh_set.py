@@ -234,7 +234,7 @@ class MeshSet:
 
 @dataclass(eq=False)
 class Topology:
-    """How the rows of a mesh's faces were made."""
+    """The input that the rows of a mesh's faces were made from."""
 
     indices: NDArray[np.uint32]
     vertex_count: int

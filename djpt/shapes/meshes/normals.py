@@ -19,7 +19,7 @@ from djpt.shapes.meshes.normal_functions import PARAMETERS, add_normal_functions
 __all__ = ["CHUNK", "FUNCTIONS", "face_areas", "length", "weighted_normals"]
 
 FUNCTIONS = HostFunctions(add_normal_functions, PARAMETERS, small=4096, few=16)
-"""What works on many triangles, or on many meshes; others are left to NumPy, which gives the same to the last bit."""
+"""The functions for many triangles, or many meshes; NumPy does the rest, with the same results to the last bit."""
 
 CHUNK = 1 << 13
 """Triangles that are handled at a time: what is computed on the way stays in a core's own cache."""

@@ -37,7 +37,7 @@ PARAMETERS = {"measure": 3, "scan": 9, "merge": 8, "pick": 6, "cut": 4}
 """The compiled functions, and how many parameters each has."""
 
 FUNCTIONS = HostFunctions(add_obj_functions, PARAMETERS, small=1 << 15, few=16)
-"""What reads large files, or many."""
+"""The functions that read large files, or many."""
 
 POWERS = np.array([float(10**k) for k in range(EXACT_POWERS + 1)])
 

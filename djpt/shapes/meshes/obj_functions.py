@@ -40,7 +40,7 @@ WIDTHS = (3, 2, 3)
 """Numbers of a position, a texture coordinate and a normal; a line may have more, which are ignored."""
 
 LINES, FACES, CORNERS, TRIANGLES = 3, 3, 4, 5
-"""Where counts stand: those of the three kinds of lines first."""
+"""The places of counts in their array: those of the three kinds of lines first."""
 
 
 def add_obj_functions(module: Module) -> None:
@@ -66,7 +66,7 @@ class Text:
 
     @property
     def place(self) -> Value:
-        """How many characters were read."""
+        """The number of characters read."""
         return self._place.value
 
     @property

@@ -1,4 +1,4 @@
-"""What is asked of a mesh: areas and extent, whether it is closed, its vertices and triangles by number."""
+"""Queries of meshes: areas and extent, whether they are closed, vertices and triangles by number."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def is_remote(positions: NDArray[np.float32]) -> bool:
 
 
 class Measures:
-    """What is measured on the triangles of a mesh; the arrays must stay as they are."""
+    """Measurements of a mesh's triangles, made on demand; the arrays must not change."""
 
     def __init__(
         self, positions: NDArray[np.float32], indices: NDArray[np.uint32], areas: NDArray[np.float64] | None = None
@@ -119,7 +119,7 @@ else:
 
 
 class MeshQueries:
-    """What scripts ask a mesh; its arrays are those that `traverse` reports, flat and in world space.
+    """Queries of meshes by scripts; the arrays are those that `traverse` reports, flat and in world space.
 
     Lookups take numbers of vertices or triangles, one per lane; inactive lanes get zeros.
     """
@@ -139,11 +139,11 @@ class MeshQueries:
 
         @property
         def vertex_normals(self) -> Float:
-            """Those of their normals; empty if there are none."""
+            """The vertex normals, one after the other; empty if there are none."""
 
         @property
         def vertex_texcoords(self) -> Float:
-            """Those in textures; empty if there are none."""
+            """The texture coordinates of all vertices, one after the other; empty if there are none."""
 
         def data(self) -> MeshData:
             """The mesh on the host."""

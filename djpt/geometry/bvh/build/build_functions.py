@@ -207,7 +207,7 @@ FULL = 1.0
 """A node is a leaf without further ado if its triangles' boxes together have so much of its area."""
 
 ROUNDING = 0.5
-"""How much the estimate of the number of leaves favours full ones."""
+"""The weight of full leaves in the estimate of the number of leaves."""
 
 STACK = 64
 

@@ -71,7 +71,7 @@ def shared_out(left: Value, right: Value) -> Value:
 
 
 def best_share(f: Function, left: Node, right: Node, slots: Value) -> Value:
-    """How many of the slots the left child gets at the least cost."""
+    """The number of slots of the left child at the least cost."""
     best, share = f.variable(F32, FAR), f.variable(I64, 1)
     with f.each(1, slots) as k:
         cost = left.cost(k) + right.cost(slots - k)

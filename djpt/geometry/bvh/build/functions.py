@@ -43,7 +43,7 @@ PARTS: tuple[tuple[Callable[[Module], None], ...], ...] = (
     (add_build_functions,),
     (add_weigh, add_plan, add_fit_functions, add_row_functions),
 )
-"""What adds functions to a module, for modules that take about the same time to compile."""
+"""The functions that fill each module; the modules take about the same time to compile."""
 
 NAMES = (
     ("bounds", "prepare", "split", "grow"),

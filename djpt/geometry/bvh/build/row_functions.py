@@ -199,7 +199,7 @@ def assembled(f: Function, type: Type, values: Vector) -> Value:
 
 
 def transposed(rows: Vector) -> list[Value]:
-    """As many vectors as they have lanes, turned into their columns."""
+    """The transpose of a square matrix whose rows are vectors, one element per lane."""
     result, size = list(rows), len(rows)
     step = size // 2
     while step:

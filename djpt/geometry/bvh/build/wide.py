@@ -131,7 +131,7 @@ def shared_out(left: NDArray[np.float32], right: NDArray[np.float32], slots: int
 
 
 def best_share(left: NDArray[np.float32], right: NDArray[np.float32], slots: NDArray[np.int32]) -> NDArray[np.int32]:
-    """How many of the slots the left subtree gets at the least cost."""
+    """The number of slots of the left subtree at the least cost."""
     width = left.shape[1] + 1
     share = np.ones(len(slots), np.int32)
     best = np.full(len(slots), np.float32(np.inf))

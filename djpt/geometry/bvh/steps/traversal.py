@@ -54,7 +54,7 @@ UNROLLED = 2
 """Steps that are taken without testing whether any lane is still at work."""
 
 ROUNDS = 4
-"""How often `UNROLLED` steps are taken in a turn; a lane that finishes waits for the end of the turn."""
+"""The number of times that a turn takes `UNROLLED` steps; a lane that finishes waits for the end of the turn."""
 
 INFINITY = 0x7F800000
 """The bits of +inf. The bits of non-negative floats are ordered like the floats."""
@@ -78,7 +78,7 @@ class Passage:
 
 @dataclass
 class Cursor:
-    """How far a lane has come in its traversal: loop state."""
+    """The progress of a lane in its traversal: loop state."""
 
     current: UInt32
     """The record to visit next; EMPTY when finished."""

@@ -190,7 +190,7 @@ class StepTrees:
         return Tree(wide, sah_cost(wide))
 
     def starts(self) -> list[int]:
-        """Where each tree begins, as instances name it: the record of its root."""
+        """The record of the root of each tree, by which instances refer to it."""
         return roots(self._wide())
 
     def packed(self, placed: PlacedLeaves | None, kinds: tuple[int, ...], lights: bool, one_sided: bool) -> StepTree:
