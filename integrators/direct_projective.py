@@ -155,9 +155,7 @@ class DirectProjectiveIntegrator(PSIntegrator):
         wavelengths: Any,
         active_: Any,
     ) -> tuple[Color3f, Point2f, UInt32, Bool]:
-        back = SilhouetteSample3f(ss)
-        back.d = -ss.d
-        si = scene.ray_intersect(back.spawn_ray(wavelengths), active=active_)
+        si = scene.ray_intersect(ss.toward_viewer().spawn_ray(wavelengths), active=active_)
         active = active_ & si.is_valid()
         it = dr.zeros(Interaction3f)
         it.p = si.p

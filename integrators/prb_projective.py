@@ -205,9 +205,7 @@ class PathProjectiveIntegrator(PSIntegrator):
     @dr.syntax
     def sample_viewer(self, scene, sensor, ss, max_depth, sampler, active):  # type: ignore[no-untyped-def]
         ctx = BSDFContext(TransportMode.Importance)
-        back = SilhouetteSample3f(ss)
-        back.d = -ss.d
-        start = back.spawn_ray()
+        start = ss.toward_viewer().spawn_ray()
         # The state of loops is an array from the start: what seems constant at first may not stay so.
         zero, longest = dr.opaque(Float, 0, sampler.wavefront_size()), opaque(UInt32(max_depth))
         o, d = Point3f(start.o) + zero, Vector3f(start.d) + zero

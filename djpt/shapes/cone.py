@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
@@ -18,6 +19,9 @@ from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.shapes.axes import ProjectedRay
 from djpt.shapes.base import Hit
 from djpt.shapes.revolution import Revolution
+
+if TYPE_CHECKING:
+    from djpt.shapes.silhouettes.base import Silhouette
 
 __all__ = ["Cone"]
 
@@ -113,6 +117,11 @@ class Cone(Revolution):
         across, z = self.across(p)
         dv = (self.axis_z + self.outward(across) * self.slope) * self.length
         return Point2f(self.turn(across), z * dr.rcp(self.length)), 2 * math.pi * self.around(across), dv
+
+    def silhouette_class(self) -> type[Silhouette] | None:
+        from djpt.shapes.silhouettes.cone import ConeSilhouette
+
+        return ConeSilhouette
 
 
 register_shape("cone", Cone)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import numpy as np
@@ -13,14 +13,17 @@ from djpt.core.lookup import choose
 from djpt.core.numeric import cross_product
 from djpt.core.records import PositionSample3f
 from djpt.core.transforms import ScalarTransform4f
-from djpt.description.plugin import HIDDEN, TraversalCallback
+from djpt.description.plugin import HIDDEN, ParamFlags, TraversalCallback
 from djpt.description.registry import register_shape
 from djpt.errors import ParameterError
 from djpt.jit.kernels import as_float, as_vector, maximum, minimum
-from djpt.jit.types import Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.jit.types import Float, Matrix4f, Point2f, Point3f, UInt32, Vector3f
 from djpt.shapes.axes import AxisPool, ProjectedRay, SignedAxis
 from djpt.shapes.base import Face, Hit, Shape
 from djpt.shapes.mitsuba_api import ShapeType
+
+if TYPE_CHECKING:
+    from djpt.shapes.silhouettes.base import Silhouette
 
 __all__ = ["FACES", "Cube", "face_axis"]
 
@@ -52,6 +55,26 @@ def local_vertices() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return np.array(positions), np.array(normals)
 
 
+def attached_fit(positions: Float) -> Any:
+    """The affine map of the unit cube, attached to the corners: the mean of these along each axis.
+
+    Derivatives are those of the box that fits best as corners move.
+    """
+    from djpt.core.transforms.lanes import Transform4f
+    from djpt.shapes.silhouettes.moving import AttachedTransform
+
+    corners = dr.unravel(Point3f, positions)
+    signs = (*local_vertices()[0].T, np.ones(24))
+    columns = [[dr.sum(x * as_floats(sign)) / 24 for x in corners] for sign in signs]
+    rows = [[column[k] for column in columns] for k in range(3)]
+    return AttachedTransform(Transform4f(Matrix4f(*rows[0], *rows[1], *rows[2], 0, 0, 0, 1)))
+
+
+def as_floats(values: NDArray[np.float64]) -> Float:
+    """The numbers as a Dr.Jit array."""
+    return Float(values.astype(np.float32))
+
+
 class Cube(Shape):
     """A parallelepiped; every face has its own uv in [0, 1]^2.
 
@@ -73,7 +96,7 @@ class Cube(Shape):
     def traverse_geometry(self, callback: TraversalCallback) -> None:
         callback.put("faces", self.faces_parameter, attribute="faces_parameter")
         callback.put("vertex_positions", self.vertex_positions, self.motion_flags())
-        callback.put("vertex_normals", self.vertex_normals, self.motion_flags())
+        callback.put("vertex_normals", self.vertex_normals, HIDDEN | ParamFlags.Discontinuous)
         callback.put("vertex_texcoords", self.vertex_texcoords)
 
     @property
@@ -90,7 +113,8 @@ class Cube(Shape):
 
     @vertex_positions.setter
     def vertex_positions(self, value: Any) -> None:
-        self.to_world = self._fit(np.array(value, dtype=np.float64))
+        fitted = self._fit(np.array(dr.detach(value), dtype=np.float64))
+        self.to_world = attached_fit(value) if dr.grad_enabled(value) else fitted
 
     def _fit(self, positions: NDArray[np.float64]) -> ScalarTransform4f:
         """The affine map that takes the unit cube's corners to `positions`."""
@@ -123,6 +147,15 @@ class Cube(Shape):
     def vertex_texcoords(self) -> Float:
         """One uv per vertex."""
         return Float(np.tile(np.array(CORNERS_UV, dtype=np.float32).ravel(), 6).tolist())
+
+    def attached_parameter(self, name: str, value: Any) -> Any:
+        fits = name == "vertex_positions" and self.can_be_followed()
+        return value if fits else super().attached_parameter(name, value)
+
+    def silhouette_class(self) -> type[Silhouette] | None:
+        from djpt.shapes.silhouettes.cube import CubeSilhouette
+
+        return CubeSilhouette
 
     def check_parameter(self, name: str, value: Any) -> Any:
         if name in ("faces", "vertex_normals", "vertex_texcoords"):

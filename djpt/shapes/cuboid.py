@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
+import drjit as dr
 import numpy as np
 
 from djpt.description.plugin import TraversalCallback
@@ -37,11 +39,22 @@ class Cuboid(Cube):
 
     def _compose(self) -> None:
         """Set the transform that takes the cube [-1, 1]^3 to this box, from the parameters."""
-        low, high = (np.array(corner, np.float64).ravel() for corner in (self.min, self.max))
+        low, high = (np.array(dr.detach(corner), np.float64).ravel() for corner in (self.min, self.max))
         if not (low < high).all():
             found = f"{high.tolist()} and {low.tolist()}"
             raise ParameterError(f"{self.id()}: 'max' must be greater than 'min' in every coordinate, found {found}")
         self.to_world = self._placed.translate((low + high) / 2).scale((high - low) / 2)
+        lanes = getattr(self._placed, "lanes", None)
+        if lanes is not None or dr.grad_enabled(self.min, self.max):
+            from djpt.core.transforms.lanes import Transform4f
+            from djpt.shapes.silhouettes.moving import AttachedTransform
+
+            placed = Transform4f(self._placed.matrix) if lanes is None else lanes
+            middle, half = 0.5 * (self.min + self.max), 0.5 * (self.max - self.min)
+            self.to_world = AttachedTransform(placed @ Transform4f().translate(middle).scale(half))
+
+    def attached_parameter(self, name: str, value: Any) -> Any:
+        return value if name in ("min", "max") and self.can_be_followed() else super().attached_parameter(name, value)
 
     def parameters_changed(self, keys: Sequence[str]) -> None:
         self._compose()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
@@ -18,6 +19,9 @@ from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.shapes.axes import ProjectedRay
 from djpt.shapes.base import Hit
 from djpt.shapes.revolution import Revolution
+
+if TYPE_CHECKING:
+    from djpt.shapes.silhouettes.base import Silhouette
 
 __all__ = ["Paraboloid"]
 
@@ -122,6 +126,11 @@ class Paraboloid(Revolution):
         length = dr.sqrt(squared)
         dv = dr.fma(self.axis_z, length * dr.rcp(2 * self.focal_length), self.outward(across)) * self.radius
         return Point2f(self.turn(across), length * dr.rcp(self.radius)), 2 * math.pi * self.around(across), dv
+
+    def silhouette_class(self) -> type[Silhouette] | None:
+        from djpt.shapes.silhouettes.paraboloid import ParaboloidSilhouette
+
+        return ParaboloidSilhouette
 
 
 register_shape("paraboloid", Paraboloid)

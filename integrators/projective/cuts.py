@@ -1,4 +1,4 @@
-"""The boundary term of curves in which surfaces meet: where shapes cut each other, and the edges of flat facets."""
+"""The boundary term of curves in which surfaces meet: where shapes cut each other."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from typing import Any
 import drjit as dr
 
 from djpt.core.records import Ray3f, SurfaceInteraction3f
-from djpt.jit.types import Bool, Color3f, Float, Point2f, UInt32, UInt64, Vector2f
-from djpt.rendering.gradients.meetings import flat_meshes
+from djpt.jit.types import Bool, Color3f, Float, Point2f, UInt32, Vector2f
 
 __all__ = ["cuts_on_film"]
 
@@ -34,14 +33,13 @@ def cuts_on_film(integrator: Any, scene: Any, sensor: Any, sampler: Any) -> tupl
         sin, cos = dr.sincos(2 * math.pi * sampler.next_1d())
         step = Vector2f(cos, sin) * SEGMENT
         low, high = place - 0.5 * step, place + 0.5 * step
-        flat = flat_meshes(scene.shapes())
-        first, last = (surface(seen(integrator, scene, sensor, at, Bool(True)), flat) for at in (low, high))
+        first, last = (surface(seen(integrator, scene, sensor, at, Bool(True))) for at in (low, high))
         apart = first != last
         chance = sampler.next_1d()
 
         def body(k: UInt32, low: Point2f, high: Point2f, first: Any, last: Any, chance: Float, weight: Float) -> Any:
             middle = 0.5 * (low + high)
-            found = surface(seen(integrator, scene, sensor, middle, apart), flat)
+            found = surface(seen(integrator, scene, sensor, middle, apart))
             # Between three surfaces there are two curves: one of them is chosen.
             third = (found != first) & (found != last)
             chance = dr.select(third, 2 * chance, chance)
@@ -94,13 +92,9 @@ def seen(integrator: Any, scene: Any, sensor: Any, place: Point2f, active: Bool)
     return found
 
 
-def surface(si: SurfaceInteraction3f, flat: list[Any]) -> UInt64:
-    """A number for what is hit: a shape, or a triangle of a mesh with flat facets; 0 for nothing."""
-    facet = Bool(False)
-    for shape in flat:
-        facet = facet | (si.shape == shape)
-    number = UInt64(si.shape_index) << 32 | UInt64(dr.select(facet, si.prim_index, 0))
-    return UInt64(dr.select(si.is_valid(), number + 1, 0))
+def surface(si: SurfaceInteraction3f) -> UInt32:
+    """A number for the shape that is hit; 0 for nothing."""
+    return UInt32(dr.select(si.is_valid(), si.shape_index + 1, 0))
 
 
 def change_of_distance(integrator: Any, scene: Any, sensor: Any, place: Point2f, active: Bool) -> Float:

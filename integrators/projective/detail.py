@@ -10,6 +10,7 @@ from typing import Any
 
 import drjit as dr
 
+from djpt.core.lookup import is_one_of
 from djpt.core.records import SHADOW_EPSILON, DiscontinuityFlags, Interaction3f, RayFlags, SurfaceInteraction3f
 from djpt.errors import RenderError
 from djpt.integrators.projective.guiding import (
@@ -51,7 +52,7 @@ class ProjectiveDetail:
 
     def init_primarily_visible_silhouette(self, scene: Any, sensor: Any) -> None:
         """Find the silhouettes as the sensor sees them, of all shapes that move."""
-        self.outlines = Outlines(scene.silhouette_shapes(), viewpoint_of(scene, sensor))
+        self.outlines = Outlines(scene.silhouette_shapes(), viewpoint_of(scene, sensor), creases=True)
 
     def sample_primarily_visible_silhouette(
         self, scene: Any, viewpoint: Any, sample2: Point2f, active: Bool | bool
@@ -99,9 +100,7 @@ class ProjectiveDetail:
             RenderError: the sensor is neither a perspective nor an orthographic camera.
         """
         with dr.suspend_grad():
-            back = SilhouetteSample3f(ss)
-            back.d = -ss.d
-            ray = back.spawn_ray()
+            ray = ss.toward_viewer().spawn_ray()
             it = dr.zeros(Interaction3f)
             it.p = ss.p
             ray.maxt = sensor.sample_direction(it, Point2f(0))[0].dist * (1 - SHADOW_EPSILON)
@@ -247,7 +246,8 @@ class ProjectiveDetail:
         parent = self.parent
         with dr.suspend_grad():
             lune = DiscontinuityFlags.DirectionLune if parent.guiding == "none" else DiscontinuityFlags.DirectionSphere
-            ss = scene.sample_silhouette(Point3f(sample), int(DiscontinuityFlags.AllTypes | lune), active)
+            flags = DiscontinuityFlags.AllTypes | DiscontinuityFlags.Creases | lune
+            ss = scene.sample_silhouette(Point3f(sample), int(flags), active)
             active = active & ss.is_valid()
             importance, place, edges, reached, viewer = parent.sample_viewer(
                 scene, sensor, ss, parent.max_depth, sampler, active
@@ -257,8 +257,10 @@ class ProjectiveDetail:
             active = active & known
             weight = dr.select(active, importance * (ss.foreshortening * dr.rcp(ss.pdf)), 0)
             if preprocess:
-                moves = Receiver(parent, scene, sensor, ss, place, edges, viewer, active).moves()
-                return weight * (dr.abs(front - back) + dr.select(moves, back, 0)), [], Point2f(0)
+                seen_moving = Receiver(parent, scene, sensor, ss, place, edges, viewer, active).moves()
+                moving = [k for k, s in enumerate(scene.silhouette_shapes()) if s.parameters_grad_enabled()]
+                jump = dr.select(is_one_of(ss.scene_index, moving), dr.abs(front - back), 0)
+                return weight * (jump + dr.select(seen_moving, back, 0)), [], Point2f(0)
             behind = scene.ray_intersect(ss.spawn_ray(), active=active).t
         receiver = Receiver(parent, scene, sensor, ss, place, edges, viewer, active)
         value = Color3f(front - back) * self.speed(scene, ss, active) + Color3f(back) * receiver.speed_at_edge(behind)

@@ -21,11 +21,12 @@ class Outlines:
     Args:
         shapes: the shapes, each of which has silhouettes; `SilhouetteSample3f.scene_index` counts them.
         viewpoint: the point that they are seen from.
+        creases: whether edges between two faces that are both seen belong to them.
     """
 
-    def __init__(self, shapes: Sequence[Any], viewpoint: Any) -> None:
+    def __init__(self, shapes: Sequence[Any], viewpoint: Any, creases: bool = False) -> None:
         self._shapes, self._viewpoint = shapes, viewpoint
-        parts = [shape.precompute_silhouette(viewpoint) for shape in shapes]
+        parts = [shape.precompute_silhouette(viewpoint, creases) for shape in shapes]
         self._parts = [indices for indices, _ in parts]
         self._within = [DiscreteDistribution(weights if dr.width(weights) else Float(0)) for _, weights in parts]
         seen = [float(dr.width(weights) > 0) for _, weights in parts]

@@ -11,15 +11,16 @@ from typing import Any
 
 import drjit as dr
 
+from djpt.core.lookup import is_one_of
 from djpt.core.records import RAY_EPSILON, DiscontinuityFlags, Ray3f, RayFlags, SurfaceInteraction3f
 from djpt.errors import RenderError
 from djpt.jit.types import PCG32, Bool, Float, Point3f, UInt32, UInt64
-from djpt.shapes.mitsuba_api import ShapeType
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
 __all__ = ["ProjectOperation"]
 
 PERIMETER, INTERIOR = DiscontinuityFlags.PerimeterType, DiscontinuityFlags.InteriorType
+CREASES = DiscontinuityFlags.Creases
 ALGORITHMS = ("hybrid", "walk", "jump")
 
 
@@ -60,53 +61,45 @@ class ProjectOperation:
             number, on_moving = dr.select(mine, UInt32(k), number), on_moving | mine
         active = active & on_moving
         state = UInt64(sampler.next_1d() * 2**32) << 16 | UInt64(sampler.next_1d() * 2**16)
-        kinds = {
-            ShapeType.Mesh: self.project_mesh,
-            ShapeType.Rectangle: self.project_rectangle,
-            ShapeType.Cylinder: self.project_cylinder,
-            ShapeType.Disk: self.project_disk,
-            ShapeType.Sphere: self.project_sphere,
-        }
+        kinds = {shape.silhouette_class(): shape for shape in shapes}
         si_guide.shape = scene.silhouette_shape(number)
         result = SilhouetteSample3f()
-        for kind, project in kinds.items():
-            members = [k for k, shape in enumerate(shapes) if shape.shape_type() == kind]
-            if not members:
-                continue
-            mine = Bool(False)
-            for k in members:
-                mine = mine | (number == k)
-            mine = mine & active
-            result = dr.select(mine, project(scene, ray_guide, si_guide, state, mine), result)
+        for kind, example in kinds.items():
+            mine = active & is_one_of(number, [k for k, s in enumerate(shapes) if s.silhouette_class() is kind])
+            if example.of_triangles:
+                found = self.project_mesh(scene, ray_guide, si_guide, state, mine)
+            else:
+                types = example.silhouette_discontinuity_types()
+                found = self.project_analytic(scene, ray_guide, si_guide, state, mine, types)
+            result = dr.select(mine, found, result)
         result.scene_index = number
         return result, active & result.is_valid()
 
     # ---- shapes with formulas ----------------------------------------------------------------
 
-    def project_sphere(self, scene: Any, ray_guide: Ray3f, si: Any, state: UInt64, active: Bool) -> SilhouetteSample3f:
-        """The nearest point of the circle."""
-        return projected(si, ray_guide, INTERIOR, Float(0), active)
-
-    def project_disk(self, scene: Any, ray_guide: Ray3f, si: Any, state: UInt64, active: Bool) -> SilhouetteSample3f:
-        """The nearest point of the rim."""
-        return projected(si, ray_guide, PERIMETER, Float(0), active)
-
-    def project_rectangle(
-        self, scene: Any, ray_guide: Ray3f, si: Any, state: UInt64, active: Bool
+    def project_analytic(
+        self,
+        scene: Any,
+        ray_guide: Ray3f,
+        si: Any,
+        state: UInt64,
+        active: Bool,
+        types: int = int(PERIMETER | INTERIOR),
     ) -> SilhouetteSample3f:
-        """A random point of the nearest edge."""
-        return projected(si, ray_guide, PERIMETER, random(si, state).next_float32(active), active)
+        """The point that the shape's own formula gives: on an edge or rim, or where the surface turns away.
 
-    def project_cylinder(
-        self, scene: Any, ray_guide: Ray3f, si: Any, state: UInt64, active: Bool
-    ) -> SilhouetteSample3f:
-        """A point of the rim or of the side's silhouette, by chance where there are both."""
+        Where there are both, chance decides.
+        """
+        if types != PERIMETER | INTERIOR:
+            return projected(si, ray_guide, types | CREASES, random(si, state).next_float32(active), active)
         side = projected(si, ray_guide, INTERIOR, Float(0), active)
         rim = projected(si, ray_guide, PERIMETER, Float(0), active)
         on_rim = ~side.is_valid() | (random(si, state).next_float32(active) > 0.5)
         ss = dr.select(on_rim, rim, side)
         ss.flags = UInt32(int(PERIMETER | INTERIOR))
         return ss
+
+    project_sphere = project_disk = project_rectangle = project_cylinder = project_analytic
 
     # ---- meshes --------------------------------------------------------------------------------
 
@@ -121,7 +114,7 @@ class ProjectOperation:
         else:
             ss, valid = self.hybrid_mesh_projection(scene, si_guide, ray_guide.o, state, active, self.max_walk)
         ss.discontinuity_type = dr.select(valid, ss.discontinuity_type, 0)
-        ss.flags = UInt32(int(PERIMETER | DiscontinuityFlags.DirectionSphere))
+        ss.flags = UInt32(int(PERIMETER | DiscontinuityFlags.DirectionSphere | CREASES))
         return ss
 
     def mesh_walk(
@@ -137,7 +130,7 @@ class ProjectOperation:
         ss = wide(shape.primitive_silhouette_projection(viewpoint, start, PERIMETER, Float(0), active), lanes)
         ss.discontinuity_type = dr.zeros(UInt32, lanes)
         generator = PCG32(size=lanes, initstate=state)
-        flags = PERIMETER | DiscontinuityFlags.HeuristicWalk
+        flags = PERIMETER | DiscontinuityFlags.HeuristicWalk | CREASES
 
         def step(depth: UInt32, here: UInt32, target: UInt32, ss: Any, generator: Any) -> Any:
             u = generator.next_float32()
@@ -161,7 +154,7 @@ class ProjectOperation:
         """Jump to where the interpolated normals turn away from the viewer, until an edge is on the silhouette."""
         shape = si.shape
         u = random(si, state).next_float32(active)
-        ss = shape.primitive_silhouette_projection(viewpoint, si, PERIMETER, u, active)
+        ss = shape.primitive_silhouette_projection(viewpoint, si, PERIMETER | CREASES, u, active)
         valid = active & ss.is_valid()
         for _ in range(max_jump):
             active = active & ~valid
@@ -175,7 +168,7 @@ class ProjectOperation:
                 Ray3f(dr.fma(n, RAY_EPSILON, p), -n), RayFlags.AllNonDifferentiable | RayFlags.dNSdUV, active=active
             )
             active = active & si.is_valid() & (si.shape == shape)
-            found = shape.primitive_silhouette_projection(viewpoint, si, PERIMETER, u, active)
+            found = shape.primitive_silhouette_projection(viewpoint, si, PERIMETER | CREASES, u, active)
             hit = active & found.is_valid()
             ss, valid = dr.select(hit, found, ss), valid | hit
         return ss, valid

@@ -17,7 +17,7 @@ from djpt.integrators.projective.receivers import followed, outlined
 from djpt.integrators.projective.shadows import ShadowEdges
 from djpt.jit.frozen import recording
 from djpt.jit.types import Bool, Color3f, Float, Point2f, TensorXf, UInt32
-from djpt.rendering.gradients.meetings import flat_meshes, meeting_pairs
+from djpt.rendering.gradients.meetings import meeting_pairs
 from djpt.samplers.base import Sampler
 from djpt.scene.scene import Scene, find_sensor
 from djpt.sensors.base import Sensor
@@ -256,7 +256,7 @@ class PSIntegrator(RBIntegrator):
         """Whether the sensor may see curves in which surfaces meet, and which move."""
         shapes = scene.shapes()
         moving = shapes if sensor.attached_names() else scene.silhouette_shapes()
-        return recording() or bool(flat_meshes(moving)) or next(meeting_pairs(shapes, moving), None) is not None
+        return recording() or next(meeting_pairs(shapes, moving), None) is not None
 
     def render_primarily_visible_silhouette(self, scene: Scene, sensor: Sensor, sampler: Sampler, spp: int) -> TensorXf:
         """The image of the silhouettes that the sensor sees, attached to the parameters of shapes.

@@ -105,6 +105,8 @@ class DiscontinuityFlags(enum.IntFlag):
     """Directions at an edge are all."""
     HeuristicWalk = 0x10
     """Projections onto a mesh go on to a neighbouring triangle, most likely where the surface turns away."""
+    Creases = 0x20
+    """Also edges of whose faces both are seen, if shading jumps there; not in Mitsuba."""
     AllTypes = 0x3
 
 

@@ -19,7 +19,7 @@ from djpt.description.plugin import Plugin
 from djpt.description.registry import name_of
 from djpt.errors import RenderError
 from djpt.jit.frozen import recording
-from djpt.rendering.gradients.meetings import flat_meshes, meeting_pairs
+from djpt.rendering.gradients.meetings import meeting_pairs
 from djpt.scene.intersecting_shapes import between, encloses, is_convex, is_sphere
 
 if TYPE_CHECKING:
@@ -126,13 +126,6 @@ def layers(rendering: Rendering) -> Iterator[str]:
         alone(rendering) and (is_sphere(rendering.seen[0]) or rendering.seen[0].plane() is not None)
     ):
         yield from of_lobes(rendering, BSDFFlags.Null)
-
-
-def creases(rendering: Rendering) -> Iterator[str]:
-    """Moving meshes whose shading jumps at edges, where that is seen not only by the camera."""
-    if not direct_light_only(rendering.integrator):
-        for mesh in flat_meshes(rendering.passes_by()):
-            yield f"'{mesh.id()}' has flat facets"
 
 
 def bent_normals(rendering: Rendering) -> Iterator[str]:
@@ -305,15 +298,8 @@ CASES: tuple[Case, ...] = (
         needs_numbers=True,
     ),
     Case(
-        "a mesh without vertex normals that moves, if paths have more than two edges",
-        "the edges between its facets are followed only where the camera sees them",
-        "give it vertex normals, or set 'max_depth' to 2",
-        creases,
-        needs_numbers=True,
-    ),
-    Case(
-        "a cube, an instance or another shape without known silhouettes, if it may hide light from a moving one, or "
-        "that of a light that moves",
+        "an instance, a curve or an implicit surface, if it may hide light from a moving shape, or that of a light "
+        "that moves",
         "its outlines and the edges of its shadows aren't followed",
         "use a mesh",
         unknown_outlines,

@@ -81,14 +81,18 @@ def is_closed(positions: NDArray[np.float32], indices: NDArray[np.uint32]) -> bo
     tells inside from outside. Vertices at the same place count as one: seams of texture coordinates
     double them.
     """
-    # Adding zero turns -0 into 0, so that equal numbers have equal bits.
-    bits = np.ascontiguousarray(positions + np.float32(0)).view(np.dtype((np.void, 12))).ravel()
-    _, place = np.unique(bits, return_inverse=True)
-    corners = place[indices].astype(np.uint64)
+    corners = vertex_places(positions)[indices].astype(np.uint64)
     ends = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
     ends.sort(axis=1)
     _, uses = np.unique(ends[:, 0] << np.uint64(32) | ends[:, 1], return_counts=True)
     return bool((uses % 2 == 0).all())
+
+
+def vertex_places(positions: NDArray[np.float32]) -> NDArray[np.uint32]:
+    """Numbers of the places of vertices, (V,): equal for vertices at the same place."""
+    # Adding zero turns -0 into 0, so that equal numbers have equal bits.
+    bits = np.ascontiguousarray(positions + np.float32(0)).view(np.dtype((np.void, 12))).ravel()
+    return np.unique(bits, return_inverse=True)[1].ravel().astype(np.uint32)
 
 
 def opposite_edges(indices: NDArray[np.uint32], vertex_count: int) -> NDArray[np.uint32]:
@@ -274,7 +278,22 @@ class MeshQueries:
 
     def build_directed_edges(self) -> None:
         """Find the neighbours of all triangles anew: `opposite_dedge` does it at its first call."""
-        self.__dict__.pop("_opposite_edges", None)
+        for name in ("_opposite_edges", "joints"):
+            self.__dict__.pop(name, None)
+
+    @cached_property
+    def joints(self) -> tuple[UInt32, Bool]:
+        """Of each directed edge the one that runs against it, and whether shading jumps there.
+
+        As `opposite_dedge`, but vertices at the same place count as one. Shading jumps where they have several numbers,
+        and everywhere if there are no interpolated normals.
+        """
+        positions: NDArray[np.float32] = np.array(dr.detach(self.vertex_positions), np.float32).reshape(-1, 3)
+        corners: NDArray[np.uint32] = np.array(self.faces_parameter, np.uint32).reshape(-1, 3)
+        places = vertex_places(positions)
+        own = np.array(self._opposite_edges)
+        joined = opposite_edges(places[corners], len(places)) if places.max(initial=0) + 1 < len(places) else own
+        return UInt32(joined), Bool((joined != own) | (not self.has_vertex_normals()))
 
     @cached_property
     def _opposite_edges(self) -> UInt32:

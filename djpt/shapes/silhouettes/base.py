@@ -16,6 +16,7 @@ from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 __all__ = [
     "INSET",
     "INTERIOR",
+    "IN_FRONT",
     "PERIMETER",
     "Placement",
     "Silhouette",
@@ -25,6 +26,9 @@ __all__ = [
     "edge_normal",
     "with_gradient",
 ]
+
+IN_FRONT = -1e-4
+"""`SilhouetteSample3f.offset` at edges of whose faces both are seen: the one behind may rise towards the viewer."""
 
 INSET = 1e-4
 """How far off an edge a surface is looked at, as a fraction of the shape's extent."""
@@ -108,8 +112,11 @@ class Silhouette:
         """A point of the silhouette, as seen from `viewpoint`, that belongs to the surface point `si`."""
         raise NotImplementedError
 
-    def precompute(self, viewpoint: Point3f) -> tuple[UInt32, Float]:
-        """The parts of the silhouette as seen from a point: their numbers, and weights to choose among them."""
+    def precompute(self, viewpoint: Point3f, creases: bool = False) -> tuple[UInt32, Float]:
+        """The parts of the silhouette as seen from a point: their numbers, and weights to choose among them.
+
+        With `creases`, edges count, too, of whose faces both are seen and at which shading jumps.
+        """
         return UInt32(PERIMETER), Float(1)
 
     def sample_precomputed(

@@ -50,8 +50,9 @@ class CylinderSilhouette(Silhouette):
         if not flags & INTERIOR:
             return SilhouetteSample3f()
         ps = self.shape.draw_point(Point2f(sample.y, sample.z))
-        d = interval_to_tangent_direction(ps.n, sample.x)
-        ss = self._on_side(ps.p, ps.n, ps.uv, d, flags)
+        n = ps.n * self.shape.side
+        d = interval_to_tangent_direction(n, sample.x)
+        ss = self._on_side(ps.p, n, ps.uv, d, flags)
         ss.pdf = ps.pdf * (0.5 / math.pi)
         ss.foreshortening = dr.squared_norm(dr.cross(d, ss.silhouette_d)) / self.shape.radius
         return ss
@@ -128,7 +129,7 @@ class CylinderSilhouette(Silhouette):
         ss.discontinuity_type = dr.select(distance > shape.radius, UInt32(INTERIOR), 0)
         return ss
 
-    def precompute(self, viewpoint: Point3f) -> tuple[UInt32, Float]:
+    def precompute(self, viewpoint: Point3f, creases: bool = False) -> tuple[UInt32, Float]:
         return UInt32(PERIMETER, INTERIOR), Float(0.5, 0.5)
 
     def sample_precomputed(

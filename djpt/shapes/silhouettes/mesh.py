@@ -1,4 +1,9 @@
-"""Silhouettes of meshes: edges between a triangle that is seen from the front and one from the back, and borders."""
+"""Silhouettes of meshes: edges between a triangle that is seen from the front and one from the back, and borders.
+
+Vertices at the same place count as one: meshes of files have several where normals or texture coordinates jump. At such
+edges, and at all of a mesh without interpolated normals, shading jumps even where both triangles are seen: with the
+flag `DiscontinuityFlags.Creases` they count, too.
+"""
 
 from __future__ import annotations
 
@@ -19,6 +24,7 @@ from djpt.core.warp import (
 from djpt.distributions.discrete import Weights
 from djpt.jit.types import Bool, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
 from djpt.shapes.silhouettes.base import (
+    IN_FRONT,
     INSET,
     PERIMETER,
     Placement,
@@ -44,6 +50,9 @@ LEAST_ANGLE = math.radians(1)
 
 EPSILON = 2.0**-24
 
+FLAT = 1 - 1e-6
+"""The cosine between the normals of triangles above which they count as one plane."""
+
 
 class MeshSilhouette(Silhouette):
     """The edges, chosen by length; `uv` are barycentric weights. Edge k of triangle f is number 3 f + k."""
@@ -67,7 +76,7 @@ class MeshSilhouette(Silhouette):
 
     def neighbour(self, edge: UInt32, active: Bool | bool = True) -> tuple[UInt32, Bool]:
         """The opposite edge, and whether there is one."""
-        opposite = self.shape.opposite_dedge(edge, active)
+        opposite = dr.gather(UInt32, self.shape.joints[0], edge, active)
         return opposite, (opposite != NO_EDGE) & active
 
     def normals(self, edge: UInt32, active: Bool | bool) -> tuple[UInt32, Bool, Normal3f, Normal3f]:
@@ -76,30 +85,46 @@ class MeshSilhouette(Silhouette):
         own, other = self.shape.face_normal(edge // 3, active), self.shape.face_normal(opposite // 3, shared)
         return opposite, shared, own, other
 
+    def jumps(self, edge: UInt32, active: Bool | bool = True) -> Bool:
+        """Whether shading jumps at an edge of whose triangles both are seen."""
+        return dr.gather(Bool, self.shape.joints[1], edge, active)
+
     @cached_property
     def edges(self) -> Weights:
         """All edges that may be on a silhouette, by their lengths, each once and where the mesh lies now."""
+        return self._known("_silhouette_edges", creases=False)
+
+    @cached_property
+    def edges_and_creases(self) -> Weights:
+        """All edges that may be on a silhouette, or at which shading jumps, likewise."""
+        return self._known("_edges_and_creases", creases=True)
+
+    def _known(self, name: str, creases: bool) -> Weights:
+        """What the mesh has been found to have where it lies now."""
         mesh = self.shape
-        key = (mesh.positions, mesh.indices)
-        known = mesh.__dict__.get("_silhouette_edges")
+        key = (mesh.positions, mesh.indices, mesh.normals)
+        known = mesh.__dict__.get(name)
         if known is not None and all(a is b for a, b in zip(known[0], key, strict=True)):
             found: Weights = known[1]
             return found
         with dr.suspend_grad():
-            edges = Weights(self._weights())
-        mesh.__dict__["_silhouette_edges"] = (key, edges)
+            edges = Weights(self._weights(creases))
+        mesh.__dict__[name] = (key, edges)
         return edges
 
-    def _weights(self) -> Float:
+    def _weights(self, creases: bool) -> Float:
         edge = dr.arange(UInt32, 3 * len(self.shape.indices))
         opposite, shared, own, other = self.normals(edge, True)
         first = shared & (opposite > edge)
         a, b, _ = self.corners(edge)
         bends = dr.dot(own, other) < 1
+        jumps = self.jumps(edge) & (dr.dot(own, other) < FLAT)
         if not has_flag(self.shape.bsdf().flags(), BSDFFlags.BackSide):
             # Edges of hollows separate a triangle that is seen from the front from one that is black from behind.
             _, q1, q2 = self.corners(opposite, first)
             bends &= dr.dot(own, dr.normalize(q2 - q1)) < 0
+        if creases:
+            bends |= jumps
         return dr.select((first & bends) | ~shared, dr.norm(b - a), 0)
 
     # ---- the space of segments ------------------------------------------------------------
@@ -107,18 +132,24 @@ class MeshSilhouette(Silhouette):
     def sample(self, sample: Point3f, flags: int, active: Bool | bool) -> SilhouetteSample3f:
         if not flags & PERIMETER:
             return SilhouetteSample3f()
-        edge, along, chance = self.edges.choose(sample.x, active)
+        creases = bool(flags & DiscontinuityFlags.Creases)
+        edge, along, chance = (self.edges_and_creases if creases else self.edges).choose(sample.x, active)
         active = (chance > 0) & active
         a, b, c = self.corners(edge, active)
         _, shared, own, other = self.normals(edge, active)
         on_square = Point2f(sample.y, sample.z)
         d = square_to_uniform_sphere(on_square)
         pdf = Float(0.25 / math.pi)
+        any_way = self.jumps(edge, active) if creases else Bool(False)
         if flags & DiscontinuityFlags.DirectionLune:
-            d = dr.select(shared, square_to_uniform_spherical_lune(on_square, own, other), d)
-            pdf = dr.select(shared, square_to_uniform_spherical_lune_pdf(d, own, other), pdf)
-        valid = active & (~shared | (dr.dot(d, own) * dr.dot(d, other) < 0)) & (pdf != 0)
+            in_lune = shared & ~any_way
+            d = dr.select(in_lune, square_to_uniform_spherical_lune(on_square, own, other), d)
+            pdf = dr.select(in_lune, square_to_uniform_spherical_lune_pdf(d, own, other), pdf)
+        parted = dr.dot(d, own) * dr.dot(d, other) < 0
+        valid = active & (~shared | parted | any_way) & (pdf != 0)
         ss = self._on_edge(edge, along, a, b, c, d)
+        if creases:
+            ss.offset = dr.select(shared & ~parted, IN_FRONT, ss.offset)
         ss.pdf = pdf * chance / dr.norm(b - a)
         ss.flags = UInt32(int(flags))
         ss.foreshortening = dr.norm(dr.cross(ss.silhouette_d, d))
@@ -152,13 +183,17 @@ class MeshSilhouette(Silhouette):
         active = (ss.discontinuity_type == PERIMETER) & active
         edge = 3 * ss.prim_index + ss.projection_index
         # Of the two numbers of an edge the smaller one is sampled.
-        edge = dr.minimum(edge, self.shape.opposite_dedge(edge, active))
+        edge = dr.minimum(edge, self.neighbour(edge, active)[0])
         _, shared, own, other = self.normals(edge, active)
         a, b, _ = self.corners(edge, active)
         along = dr.clip(dr.norm(ss.p - a) / dr.norm(b - a), EPSILON, 1 - EPSILON)
-        begin, chance = self.edges.probability_below(edge, active), self.edges.probability(edge, active)
+        creases = has_flag(ss.flags, DiscontinuityFlags.Creases)
+        begin, chance = (
+            dr.select(creases, a, b)
+            for a, b in zip(*(place_of(edge, w, active) for w in (self.edges_and_creases, self.edges)), strict=True)
+        )
         x = dr.fma(along, chance, begin)
-        lune = shared & has_flag(ss.flags, DiscontinuityFlags.DirectionLune)
+        lune = shared & has_flag(ss.flags, DiscontinuityFlags.DirectionLune) & ~(creases & self.jumps(edge, active))
         square = dr.select(lune, uniform_spherical_lune_to_square(ss.d, own, other), uniform_sphere_to_square(ss.d))
         known = lune | ~shared | has_flag(ss.flags, DiscontinuityFlags.DirectionSphere)
         square = dr.select(known, square, 0)
@@ -180,7 +215,7 @@ class MeshSilhouette(Silhouette):
         prim = si.prim_index
         vertices = [mesh.vertex_position(i, active) for i in mesh.face_indices(prim, active)]
         own = dr.normalize(dr.cross(vertices[1] - vertices[0], vertices[2] - vertices[0]))
-        cosines, beyond = [], []
+        cosines, beyond, counts = [], [], []
         for k in range(3):
             opposite, shared = self.neighbour(3 * prim + k, active)
             d = dr.normalize(vertices[(k + 1) % 3] - viewpoint)
@@ -188,11 +223,15 @@ class MeshSilhouette(Silhouette):
             facing = dr.dot(d, other) * dr.sign(dr.dot(d, own))
             cosines.append(dr.select(shared, facing, -1))
             beyond.append(dr.select(shared, opposite // 3, prim))
+            jumps = Bool(False)
+            if flags & DiscontinuityFlags.Creases:
+                jumps = shared & self.jumps(3 * prim + k, active) & (dr.dot(own, other) < FLAT)
+            counts.append((cosines[k] < 0) | jumps)
         if flags & DiscontinuityFlags.HeuristicWalk:
             weights = [dr.select(c <= 0, 0.5 * math.pi, dr.safe_acos(c)) for c in cosines]
             weights = [dr.maximum(w, LEAST_ANGLE) for w in weights]
         else:
-            weights = [dr.select(c < 0, Float(1), 0) for c in cosines]
+            weights = [dr.select(c, Float(1), 0) for c in counts]
         total = weights[0] + weights[1] + weights[2]
         none = total == 0
         weights = [dr.select(none, 1 / 3, w / total) for w in weights]
@@ -203,7 +242,8 @@ class MeshSilhouette(Silhouette):
         along = (sample - before) / by_edge(edge, weights)
         p = by_edge(edge, [dr.lerp(vertices[k], vertices[(k + 1) % 3], along) for k in range(3)])
         if flags & DiscontinuityFlags.HeuristicWalk:
-            failed, target = by_edge(edge, cosines) > 0, by_edge(edge, beyond)
+            failed = (by_edge(edge, cosines) > 0) & ~by_edge(edge, counts)
+            target = by_edge(edge, beyond)
         else:
             failed, target = none, UInt32(prim)
         return self.sample_of(
@@ -214,14 +254,19 @@ class MeshSilhouette(Silhouette):
             discontinuity_type=dr.select(~failed & active, UInt32(PERIMETER), 0),
         )
 
-    def precompute(self, viewpoint: Point3f) -> tuple[UInt32, Float]:
+    def precompute(self, viewpoint: Point3f, creases: bool = False) -> tuple[UInt32, Float]:
         edge = dr.arange(UInt32, 3 * len(self.shape.indices))
         a, b, _ = self.corners(edge)
         opposite, shared, own, other = self.normals(edge, True)
         to_a, to_b = dr.normalize(a - viewpoint), dr.normalize(b - viewpoint)
         parted = dr.dot(to_a, own) * dr.dot(to_a, other) <= 0
-        bends = dr.abs(dr.dot(own, other)) < 1
-        part: Any = dr.compress(~shared | ((opposite > edge) & parted & bends))
+        counts = parted & (dr.abs(dr.dot(own, other)) < 1)
+        if creases:
+            lit = self.jumps(edge) & (dr.dot(own, other) < FLAT)
+            if not has_flag(self.shape.bsdf().flags(), BSDFFlags.BackSide):
+                lit &= (dr.dot(to_a, own) > 0) if self.shape.flip_normals else (dr.dot(to_a, own) < 0)
+            counts |= lit
+        part: Any = dr.compress(~shared | ((opposite > edge) & counts))
         # The angle in which an edge is seen: a chord of the unit sphere is twice the sine of half of its angle.
         angle = 2 * dr.safe_asin(0.5 * dr.norm(to_b - to_a))
         return part, dr.gather(Float, angle, part)
@@ -232,13 +277,15 @@ class MeshSilhouette(Silhouette):
         a, b, c = self.corners(part, active)
         ss = self._on_edge(part, sample, a, b, c, dr.normalize(dr.lerp(a, b, sample) - viewpoint))
         ss.pdf = dr.rsqrt(dr.squared_norm(b - a))
+        _, shared, own, other = self.normals(part, active)
+        ss.offset = dr.select(shared & (dr.dot(ss.d, own) * dr.dot(ss.d, other) > 0), IN_FRONT, ss.offset)
         return ss
 
     def foreground(self, ss: SilhouetteSample3f, active: Bool | bool) -> tuple[Point3f, Normal3f]:
-        """Of the two triangles at the edge that which is seen from the front; at a border the only one."""
+        """Of the two triangles at a silhouette that which is seen from the front; else that of the edge."""
         edge = 3 * ss.prim_index + ss.projection_index
         opposite, shared, own, other = self.normals(edge, active)
-        beyond = shared & (dr.dot(own, ss.d) > 0)
+        beyond = shared & (dr.dot(own, ss.d) > 0) & (dr.dot(other, ss.d) < 0)
         face, n = dr.select(beyond, opposite // 3, ss.prim_index), dr.select(beyond, other, own)
         a, b, c = self._at(self.place(), face, active)
         return dr.fma(INSET, (a + b + c) / 3 - ss.p, ss.p), -n if self.shape.flip_normals else n
@@ -288,6 +335,11 @@ class MeshSilhouette(Silhouette):
             texcoords = [dr.gather(Point2f, mesh.vertex_texcoords, corner, active) for corner in corners]
             uv = sum((w * t for w, t in zip(shares, texcoords, strict=True)), Point2f(0))
         return SurfacePoint(n, shading, uv)
+
+
+def place_of(edge: UInt32, edges: Weights, active: Bool | bool) -> tuple[Float, Float]:
+    """Where the probability of an edge begins, and how large it is."""
+    return edges.probability_below(edge, active), edges.probability(edge, active)
 
 
 def by_edge(edge: UInt32, values: list[Any]) -> Any:

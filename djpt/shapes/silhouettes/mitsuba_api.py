@@ -22,8 +22,8 @@ __all__ = ["SilhouetteQuestions"]
 class SilhouetteQuestions(Plugin):
     """The part of a shape that projective sampling asks: see `djpt.shapes.silhouettes`.
 
-    Spheres, disks, rectangles, cylinders and meshes have answers; other shapes raise `SceneError`. Samples lie in the
-    unit cube. A mesh has silhouettes while its `vertex_positions` have gradients.
+    Spheres, disks, rectangles, cylinders, cones, paraboloids, cubes and meshes have answers; others raise `SceneError`.
+    Samples lie in the unit cube. A mesh has silhouettes while its `vertex_positions` have gradients.
     """
 
     silhouette_weight: float = 1.0
@@ -43,7 +43,7 @@ class SilhouetteQuestions(Plugin):
             found = type(self).__name__.lower()
             raise SceneError(
                 f"{self.id()}: the silhouettes of a '{found}' aren't known; "
-                "those of meshes, rectangles, disks, cylinders and spheres are"
+                "those of meshes, cubes, rectangles, disks, cylinders, cones, paraboloids and spheres are"
             )
         return kind(self)
 
@@ -92,12 +92,13 @@ class SilhouetteQuestions(Plugin):
         return self._own(self.silhouette().project(viewpoint, si, int(flags), sample, active))
 
     @converting
-    def precompute_silhouette(self, viewpoint: Point3f) -> tuple[UInt32, Float]:
+    def precompute_silhouette(self, viewpoint: Point3f, creases: bool = False) -> tuple[UInt32, Float]:
         """The parts of the silhouette as seen from one point: numbers, and weights to choose among them.
 
-        The parts of a mesh are edges; those of other shapes are `DiscontinuityFlags`.
+        The parts of meshes and cubes are edges; those of other shapes are `DiscontinuityFlags`. With `creases` edges
+        at which shading jumps count even if both of their faces are seen.
         """
-        return self.silhouette().precompute(viewpoint)
+        return self.silhouette().precompute(viewpoint, creases)
 
     @converting
     def sample_precomputed_silhouette(

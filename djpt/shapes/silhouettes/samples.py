@@ -91,6 +91,12 @@ class SilhouetteSample3f(PositionSample3f):
         """True where there is a silhouette."""
         return self.discontinuity_type != int(DiscontinuityFlags.Empty)
 
+    def toward_viewer(self) -> SilhouetteSample3f:
+        """The same point, from which rays start towards the viewer."""
+        back = SilhouetteSample3f(self)
+        back.d, back.offset = -self.d, dr.abs(self.offset)
+        return back
+
     def spawn_ray(self, wavelengths: Any = None) -> Ray3f:
         """The ray along `d` that just misses the shape.
 

@@ -29,16 +29,17 @@ class SphereSilhouette(Silhouette):
         if not flags & INTERIOR:
             return SilhouetteSample3f()
         ps = self.shape.draw_point(Point2f(sample.y, sample.z))
-        d = interval_to_tangent_direction(ps.n, sample.x)
+        n = -ps.n if self.shape.flip_normals else ps.n
+        d = interval_to_tangent_direction(n, sample.x)
         return self.sample_of(
             p=ps.p,
-            n=ps.n,
+            n=n,
             uv=ps.uv,
             pdf=ps.pdf * (0.5 / math.pi),
             discontinuity_type=UInt32(INTERIOR),
             flags=UInt32(flags),
             d=d,
-            silhouette_d=dr.cross(d, ps.n),
+            silhouette_d=dr.cross(d, n),
             foreshortening=dr.rcp(self.shape.radius),
         )
 
@@ -71,7 +72,7 @@ class SphereSilhouette(Silhouette):
             silhouette_d=dr.cross(d, n),
         )
 
-    def precompute(self, viewpoint: Point3f) -> tuple[UInt32, Float]:
+    def precompute(self, viewpoint: Point3f, creases: bool = False) -> tuple[UInt32, Float]:
         return UInt32(INTERIOR), Float(1)
 
     def sample_precomputed(

@@ -1,0 +1,136 @@
+"""Silhouettes of shapes that Mitsuba doesn't have: what they are by definition."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import numpy as np
+import pytest
+
+import djpt
+from djpt.core.transforms import ScalarTransform4f as T
+from djpt.jit.types import Float, Point3f, UInt32
+from djpt.shapes.mesh import Mesh
+from tests.kit.axes import unit
+
+PERIMETER, INTERIOR, LUNE, SPHERE, CREASES = 1, 2, 4, 8, 32
+TURNED = T().translate([0.1, 0.2, 0.3]).rotate(unit(1, 1, 0), 30).scale(0.8)
+
+
+def box(split: bool) -> Any:
+    """A box of twelve triangles, with a vertex per corner, or with one per corner and face."""
+    cube = djpt.load_dict({"type": "cube", "to_world": TURNED.scale([1, 0.5, 0.7])})
+    points = np.array(cube.vertex_positions).reshape(-1, 3)
+    faces = np.array(cube.faces_parameter).reshape(-1, 3)
+    if not split:
+        points, places = np.unique(points.round(5), axis=0, return_inverse=True)
+        faces = places.ravel()[faces]
+    found = Mesh("box", points.astype(np.float32), faces)
+    params = djpt.traverse(found)
+    dr.enable_grad(params["vertex_positions"])
+    params.update()
+    return found
+
+
+def shape(name: str) -> Any:
+    if "mesh" in name:
+        return box("seams" in name)
+    return djpt.load_dict(SHAPES[name])
+
+
+SHAPES: dict[str, Any] = {
+    "cone": {"type": "cone", "to_world": TURNED},
+    "a slender cone": {"type": "cone", "to_world": TURNED, "angle": 25, "length": 1.5, "flip_normals": True},
+    "paraboloid": {"type": "paraboloid", "to_world": TURNED},
+    "a shallow paraboloid": {"type": "paraboloid", "to_world": TURNED, "focal_length": 0.6, "length": 0.7},
+    "cube": {"type": "cube", "to_world": TURNED.scale([1, 0.5, 0.7])},
+    "cylinder": {"type": "cylinder", "to_world": TURNED, "flip_normals": True},
+    "sphere": {"type": "sphere", "flip_normals": True},
+}
+NAMES = [*SHAPES, "mesh", "mesh with seams"]
+
+
+def lanes(value: Any, count: int) -> Any:
+    """A Dr.Jit array on the host, as wide as others."""
+    found = np.array(dr.detach(value))
+    return np.broadcast_to(found, (*found.shape[:-1], count))
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("flags", [PERIMETER | SPHERE, INTERIOR, PERIMETER | SPHERE | CREASES, PERIMETER | LUNE])
+def test_samples_graze_the_shape(name: str, flags: int) -> None:
+    """They can be inverted, `n` and `silhouette_d` are unit vectors perpendicular to each other, and rays pass by."""
+    one, count = shape(name), 500
+    points = np.random.default_rng(3).random((3, count)).astype(np.float32) * 0.998 + 0.001
+    ss = one.sample_silhouette(Point3f(points), flags)
+    valid = lanes(ss.is_valid(), count)
+    if not valid.any():
+        assert not one.silhouette_discontinuity_types() & flags
+        return
+    back = lanes(one.invert_silhouette_sample(ss), count)
+    np.testing.assert_allclose(back[:, valid], points[:, valid], atol=5e-4)
+    d, n, along = (lanes(getattr(ss, key), count)[:, valid] for key in ("d", "n", "silhouette_d"))
+    np.testing.assert_allclose([(d * n).sum(0), (along * n).sum(0)], 0, atol=1e-5)
+    np.testing.assert_allclose(np.linalg.norm(along, axis=0), 1, atol=1e-5)
+    bent = name in ("cube", "mesh", "mesh with seams")
+    if (bent and not flags & CREASES) or flags == INTERIOR:
+        for ray in (ss.spawn_ray(), ss.toward_viewer().spawn_ray()):
+            assert lanes(one.ray_test(ray), count)[valid].mean() < 0.01
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("creases", [False, True])
+def test_outlines_have_their_length(name: str, creases: bool) -> None:
+    """The length of a part of the outline is the mean of 1 / pdf; what it looks at is seen from the viewpoint."""
+    one, count = shape(name), 2001
+    fraction = Float(((np.arange(count) + 0.5) / count).astype(np.float32))
+    for viewpoint in (Point3f(3, -2.5, 4), Point3f(0.3, 3, -1)):
+        parts, weights = one.precompute_silhouette(viewpoint, creases)
+        assert lanes(weights, len(parts)).min() > 0
+        for part in np.array(parts):
+            ss = one.sample_precomputed_silhouette(viewpoint, UInt32(part), fraction)
+            valid = lanes(ss.is_valid(), count)
+            if not valid.any():
+                continue
+            p, pdf = np.array(ss.p)[:, valid], lanes(ss.pdf, count)[valid]
+            steps = np.linalg.norm(np.diff(p, axis=1), axis=0)
+            length = steps[steps < 20 * np.median(steps)].sum()
+            assert (1 / pdf).sum() / count == pytest.approx(length, rel=3e-3)
+            np.testing.assert_allclose((lanes(ss.n, count) * lanes(ss.d, count)).sum(0)[valid], 0, atol=1e-5)
+            # A surface may hide its own rim.
+            if part != PERIMETER or "cube" in name or "mesh" in name:
+                hits = lanes(one.ray_test(ss.toward_viewer().spawn_ray()), count)[valid].mean()
+                assert hits < 0.01
+
+
+@pytest.mark.parametrize("seams", [False, True])
+def test_a_mesh_of_a_box_has_the_outline_of_the_box(seams: bool) -> None:
+    """Six edges, whether vertices of its faces are shared or not; with creases also the three that meet before."""
+    for creases, count in ((False, 6), (True, 9)):
+        parts, _ = box(seams).precompute_silhouette(Point3f(3, -2.5, 4), creases)
+        cube, _ = shape("cube").precompute_silhouette(Point3f(3, -2.5, 4), creases)
+        assert len(parts) == len(cube) == count
+
+
+def test_boxes_move_with_their_corners() -> None:
+    """Derivatives by the corners are those of the box that fits, and points stick to it."""
+    scene = djpt.load_dict({"type": "scene", "a": {"type": "cube", "to_world": TURNED}, "b": {"type": "cuboid"}})
+    params = djpt.traverse(scene)
+    theta = Float(0)
+    dr.enable_grad(theta)
+    corners = dr.unravel(Point3f, Float(params["a.vertex_positions"]))
+    motion = djpt.Transform4f().translate([theta, 2 * theta, 0]).rotate([0, 0, 1], 90 * theta)
+    params["a.vertex_positions"] = dr.ravel(motion.transform_point(corners))
+    params["b.max"] = Point3f(1 + theta, 1, 1)
+    params.update()
+    a, b = scene.shapes()
+    si = dr.zeros(djpt.SurfaceInteraction3f)
+    si.uv, si.prim_index = djpt.Point2f(0.3, 0.6), UInt32(6)
+    places = [one.silhouette().follow(si.prim_index, si.uv, True) for one in (a, b)]
+    at = np.array(dr.detach(places[0])).ravel()
+    dr.forward(theta)
+    expected = [1 - np.pi / 2 * at[1], 2 + np.pi / 2 * at[0], 0]
+    np.testing.assert_allclose(np.array(dr.grad(places[0])).ravel(), expected, atol=1e-4)
+    # A corner at x = 1 moves by theta, one at -1 doesn't.
+    np.testing.assert_allclose(np.array(dr.grad(places[1])).ravel(), [(places[1].x[0] + 1) / 2, 0, 0], atol=1e-5)
