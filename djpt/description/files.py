@@ -190,13 +190,15 @@ _kept: ContextVar[dict[str, dict[Hashable, Any]] | None] = ContextVar("kept", de
 def read_once(name: str, form: Hashable, read: Callable[[], T]) -> T:
     """The result of `read` or, if the file `name` was read before in the same `form`, the result of then.
 
-    Results may be shared, so they must not be changed.
+    Results may be shared, so they must not be changed; arrays that are kept can't be.
     """
     known = (_kept.get() or {}).get(name)
     if known is None:
         return read()
     if form not in known:
         known[form] = read()
+        if hasattr(known[form], "setflags"):
+            known[form].setflags(write=False)
     result: T = known[form]
     return result
 

@@ -6,7 +6,7 @@ import builtins
 import contextlib
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import drjit as dr
 import numpy as np
@@ -29,8 +29,7 @@ LARGEST = 1e30
 """The bound of radiance and its like: sums of a hundred million such samples are finite in single precision."""
 
 
-@dataclass(frozen=True)
-class Allowed:
+class Allowed(NamedTuple):
     """A range of numbers; a bound of None is no bound."""
 
     low: float | None = None

@@ -20,10 +20,8 @@ import importlib
 import re
 import sys
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from djpt.errors import SceneError, near_miss
 
@@ -253,8 +251,7 @@ PACKAGES = (
 LINE = re.compile(r'^register_(\w+)\("(\w+)"', re.MULTILINE)
 
 
-@dataclass(frozen=True)
-class PluginModule:
+class PluginModule(NamedTuple):
     """The `kind` of a plugin, and the `module` that registers it when it is imported."""
 
     kind: str
@@ -285,9 +282,7 @@ def plugin_modules() -> dict[str, PluginModule]:
 @functools.cache
 def folders() -> dict[str, Path]:
     """The folders of the packages; a package of plugins is on disk, as djpt is."""
-    spec = find_spec("djpt")
-    assert spec is not None and spec.submodule_search_locations
-    djpt = Path(spec.submodule_search_locations[0])
+    djpt = Path(__file__).parents[1]
     return {package: djpt.joinpath(*package.split(".")[1:]) for package in PACKAGES}
 
 
@@ -304,8 +299,7 @@ GROUP = "djpt.plugins"
 """The group of entry points that packages list their plugins in."""
 
 
-@dataclass(frozen=True)
-class Entry:
+class Entry(NamedTuple):
     """The `kind` and `name` of a plugin, the entry `point` of the module that registers it, and its `distribution`."""
 
     kind: str

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import drjit as dr
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 
 from djpt.core.limits import LARGEST
 from djpt.core.numeric import describe
-from djpt.description.files import confined, resolve
+from djpt.description.files import confined, read_once, resolve
 from djpt.description.properties import Properties
 from djpt.errors import FileError, SceneError
 from djpt.images.colorimetry import XYZ_TO_RGB
@@ -44,13 +43,17 @@ def load_texels(props: Properties, raw: bool, precision: str = "variant") -> Ten
             texels = as_texels(value)
         else:
             if key == "filename":
-                path = resolve(props.string(key))
+                name = props.string(key)
+                path = resolve(name)
                 if confined():
                     require_modest(path)
-                pixels, srgb = read_pixels(path, raw), Path(path).suffix.lower() in DISPLAY_FORMATS
+                pixels = read_once(name, ("pixels", raw), lambda: read_pixels(path, raw))
+                srgb = path.suffix.lower() in DISPLAY_FORMATS
             else:
                 pixels, srgb = from_object(value, raw), is_encoded(value)
-            texels = TensorXf(np.ascontiguousarray(without_alpha(pixels)))
+            own = np.ascontiguousarray(without_alpha(pixels))
+            # Tensors share the memory of arrays, other textures that of what was read once.
+            texels = TensorXf(own if pixels.flags.writeable else own.copy())
         if precision == "float16":
             texels = TensorXf(rounded(numbers_of(texels)))
         elif precision == "uint8":

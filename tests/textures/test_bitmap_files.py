@@ -13,6 +13,7 @@ import djpt
 from djpt.errors import SceneError
 from djpt.images.srgb import from_srgb
 from djpt.jit.types import TensorXf
+from djpt.textures import texels
 
 
 def numbers(*shape: int) -> np.ndarray:
@@ -227,3 +228,26 @@ def test_images_that_cant_be_used(mi: Any) -> None:
     assert "'bitmap' must have 1 to 4 channels (grey or RGB, with or without alpha), found 5" in problem(
         bitmap=np.ones((2, 2, 5))
     )
+
+
+def test_a_file_of_several_textures_is_decoded_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    decoded = []
+    read = texels.read_pixels
+    monkeypatch.setattr(texels, "read_pixels", lambda *arguments: decoded.append(arguments) or read(*arguments))
+    file = tmp_path / "dots.png"
+    djpt.write(file, np.random.default_rng(0).random((4, 5, 3)).astype(np.float32))
+    node = {"type": "bitmap", "filename": str(file)}
+    scene = djpt.load_dict(
+        {"type": "scene"}
+        | {
+            f"ball{i}": {"type": "sphere", "bsdf": {"type": "diffuse", "reflectance": node | {"raw": i == 2}}}
+            for i in range(3)
+        }
+    )
+    assert len(decoded) == 2
+    params = djpt.traverse(scene)
+    first, second, raw = (params[f"ball{i}.bsdf.reflectance.data"] for i in range(3))
+    assert np.array_equal(first.numpy(), second.numpy()) and not np.array_equal(first.numpy(), raw.numpy())
+    # Each has memory of its own.
+    np.asarray(first)[:] = 0
+    assert second.numpy().any()

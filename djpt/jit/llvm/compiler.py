@@ -13,7 +13,6 @@ import ctypes
 import hashlib
 import os
 import platform
-import tempfile
 from contextlib import ExitStack, suppress
 from functools import cache
 from pathlib import Path
@@ -241,6 +240,8 @@ def found(digest: str) -> bytes | None:
 
 def keep(code: bytes, digest: str) -> None:
     """Write a file in one move, so that other processes never read half of it."""
+    import tempfile  # takes as long as loading a module that is kept
+
     path = file_of(digest)
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file, ExitStack() as stack:

@@ -320,7 +320,9 @@ class Tree:
 def usual_size(corners: NDArray[np.float32], otherwise: float) -> float:
     """The median of the longest sides of the boxes around triangles (P, 3, 3), of a few thousand of them."""
     some = corners[:: max(1, len(corners) // 4096)]
-    return float(np.median(np.ptp(some, axis=1).max(axis=1))) if len(some) else otherwise
+    sides = np.sort(np.ptp(some, axis=1).max(axis=1))
+    # `np.median` would import masked arrays, which takes longer than building a small tree.
+    return float(sides[(len(sides) - 1) // 2 : len(sides) // 2 + 1].mean()) if len(sides) else otherwise
 
 
 class CompiledTrees:
