@@ -185,7 +185,7 @@ def require_still(scene: Scene, sensor: Any = 0) -> None:
     require_scene(scene)
     camera = find_sensor(scene, sensor) if scene.sensors() or sensor != 0 else None
     if camera is not None and (names := camera.attached_names()):
-        name = names[0].replace("attached_matrix", "to_world")
+        name = names[0].replace("attached_matrix", "to_world").lstrip("_")
         raise RenderError(
             f"'{camera.id()}' moves with gradients with respect to '{name}': "
             "render with the integrator 'direct_projective' or 'prb_projective'"

@@ -53,6 +53,12 @@ class Sensor(SampledRays, Endpoint):
     """Whether rays have neighbours on the film, to compute footprints from."""
     motions: ClassVar[tuple[str, ...]] = ()
     """The attributes that place its rays and may have gradients; `attached_matrix` is that of `to_world`."""
+    canvas: Film | None = None
+    """The film that it shares with others, as a part of a batch."""
+    column = 0
+    """The column at which its picture begins there, in pixels."""
+    is_attached = False
+    """Whether it is a view whose rays are attached: see `attached`."""
     one_pixel: ClassVar[bool] = False
     """Whether it measures one number: its film then must have one pixel, and has by default."""
 
@@ -120,6 +126,10 @@ class Sensor(SampledRays, Endpoint):
         lanes = getattr(self.to_world, "lanes", None)
         return None if lanes is None else lanes.matrix
 
+    def members(self) -> Sequence[Any]:
+        """The sensors whose `motions` place its rays: itself, or those that it hands its rays on to."""
+        return [self]
+
     def attached_names(self) -> list[str]:
         """The attributes that place its rays and have gradients, also where these are suspended."""
         if not self.motions:
@@ -130,11 +140,19 @@ class Sensor(SampledRays, Endpoint):
 
     def attached(self) -> Any:
         """The sensor, its rays attached to what places them; itself if nothing has gradients."""
-        if not self.attached_names():
+        if self.is_attached or not self.attached_names():
             return self
         from djpt.sensors.moving import attached_view  # images of still cameras need none of it
 
         return attached_view(self)
+
+    def parts(self) -> Sequence[Any]:
+        """The cameras that share its picture, side by side: itself, or those of a batch, which have a `canvas`."""
+        return [self]
+
+    def through_lens(self, aperture_sample: Point2f) -> Any:
+        """The camera, seen through the point of its lens that belongs to a sample: a pinhole; itself without a lens."""
+        return self
 
     def moved_rays(self, values: Mapping[str, Any]) -> dict[str, Any]:
         """The attributes that rays are computed from, attached to the values of `motions` that have gradients."""

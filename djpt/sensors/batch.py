@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -12,7 +13,7 @@ from djpt.core.records import Ray3f
 from djpt.description.plugin import TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_sensor
-from djpt.errors import ParameterError, SceneError
+from djpt.errors import ParameterError, RenderError, SceneError
 from djpt.jit.kernels import maximum, minimum
 from djpt.jit.types import Bool, Point2f, UInt32
 from djpt.sensors.base import Sensor
@@ -76,6 +77,17 @@ class Batch(SensorGroup):
     def parameters_changed(self, keys: Sequence[str]) -> None:
         self._divide()
         self.forget()
+
+    # ---- motion ------------------------------------------------------------------------
+
+    def parts(self) -> Sequence[Any]:
+        film = self.film()
+        if tuple(film.crop_size()) != tuple(film.size()):
+            raise RenderError(f"{self.id()}: derivatives by motion need the whole film of a batch, found a crop window")
+        parts = [copy.copy(sensor) for sensor in self.sensors]
+        for number, part in enumerate(parts):
+            part.canvas, part.column = film, number * (film.size()[0] // len(parts))
+        return parts
 
     # ---- in kernels --------------------------------------------------------------------
 

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
 from djpt.core.bounding_box import ScalarBoundingBox3f
 from djpt.core.records import Ray3f
-from djpt.dispatch.ensemble import Detached, Ensemble
+from djpt.dispatch.ensemble import Attached, Detached, Ensemble
 from djpt.errors import RenderError, SceneError
 from djpt.jit.types import Bool, Point2f, UInt32
 from djpt.sensors.base import Sensor
@@ -42,10 +44,24 @@ class SensorGroup(Sensor):
         self.uses_aperture = any(sensor.uses_aperture for sensor in self.sensors)
         self.forget()
 
+    def members(self) -> Sequence[Any]:
+        return [member for sensor in self.sensors for member in sensor.members()]
+
+    def attached_names(self) -> list[str]:
+        return [name for sensor in self.sensors for name in sensor.attached_names()]
+
+    def attached(self) -> Any:
+        if self.is_attached or not self.attached_names():
+            return self
+        view = copy.copy(self)
+        view.sensors, view.is_attached = [sensor.attached() for sensor in self.sensors], True
+        view.prepare()
+        return view
+
     def forget(self) -> None:
         """Look at the sensors again before the next ray: one of them has changed."""
         self._cameras: Ensemble[Sensor] | None = None
-        self._lookup = Detached()
+        self._lookup: Attached | Detached = Detached()
 
     def move_into(self, frame: Frame) -> None:
         self.move_nested(frame)
@@ -89,7 +105,11 @@ class SensorGroup(Sensor):
                 sensor.shape = placed_apart(carrier)
             sensor.prepare()
         self._cameras, self._lookup = Ensemble(self.sensors), Detached()
-        self._lookup.prepare(self._cameras.leaves())
+        with dr.resume_grad(when=self.is_attached):
+            if self.is_attached:
+                values = {(id(s), name): getattr(s, name) for s in self.sensors for name in s.values}
+                self._lookup = Attached({place: value for place, value in values.items() if dr.grad_enabled(value)})
+            self._lookup.prepare(self._cameras.leaves())
 
     # ---- in kernels --------------------------------------------------------------------
 

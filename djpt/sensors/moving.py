@@ -10,13 +10,22 @@ from typing import Any
 import drjit as dr
 
 from djpt.core.transforms.lanes import Transform4f
-from djpt.jit.types import Float, Matrix4f, Point3f, Vector3f
+from djpt.jit.types import Float, Matrix4f, Point2f, Point3f, Vector3f
 from djpt.shapes.silhouettes.base import with_gradient
 from djpt.shapes.silhouettes.moving import AttachedTransform, exchanged_value
 
-__all__ = ["attached_transform", "attached_values", "attached_view", "central_rays", "dual", "parallel_rays"]
+__all__ = [
+    "attached_transform",
+    "attached_values",
+    "attached_view",
+    "central_rays",
+    "dual",
+    "lens_rays",
+    "parallel_rays",
+    "pinhole",
+]
 
-MATRIX = "attached_matrix"
+MATRIX, FOCUS = "attached_matrix", "_focus_distance"
 
 
 def attached_transform(value: Any) -> AttachedTransform:
@@ -42,6 +51,7 @@ def attached_view(camera: Any) -> Any:
     if not values:
         return camera
     view = copy.copy(camera)
+    view.is_attached = True
     with dr.resume_grad():
         for name, value in camera.moved_rays(values).items():
             setattr(view, name, with_gradient(getattr(camera, name), value))
@@ -93,6 +103,23 @@ def central_rays(camera: Any, values: Mapping[str, Any]) -> dict[str, Any]:
         "to_column": to_x / sx,
         "to_row": to_y / sy,
     }
+
+
+def lens_rays(camera: Any, values: Mapping[str, Any]) -> dict[str, Any]:
+    """What `djpt.sensors.thinlens.ThinLens` computes its rays from, attached."""
+    x, y, _, _ = columns(camera, values)
+    radius, focus = (values.get(name, dr.detach(getattr(camera, name))) for name in ("aperture_radius", FOCUS))
+    return {**central_rays(camera, values), "lens_x": x * radius, "lens_y": y * radius, "inv_focus": dr.rcp(focus)}
+
+
+def pinhole(camera: Any, aperture_sample: Point2f) -> Any:
+    """A camera with a lens as seen through one point of it: the rays through that point, with the same film."""
+    view = copy.copy(camera)
+    with dr.resume_grad():
+        lens, bend = camera.lens_point(dr.detach(aperture_sample))
+        view.origin, view.corner = camera.origin + lens, camera.corner + bend
+    view.lens_x, view.lens_y, view.uses_aperture = Vector3f(0), Vector3f(0), False
+    return view
 
 
 def parallel_rays(camera: Any, values: Mapping[str, Any]) -> dict[str, Any]:

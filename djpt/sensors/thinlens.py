@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 __all__ = ["ThinLens"]
 
 LENS = ("aperture_radius", "focus_distance")
+MOTIONS = ("attached_matrix", "x_fov", "aperture_radius", "_focus_distance")
 
 
 class ThinLens(Central):
@@ -50,6 +51,7 @@ class ThinLens(Central):
         **dict.fromkeys(("lens_x", "lens_y", "inv_focus"), ParamFlags.NonDifferentiable),
     }
     uses_aperture = True
+    motions = MOTIONS
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
@@ -58,9 +60,8 @@ class ThinLens(Central):
         self.place()
 
     def traverse_lens(self, callback: TraversalCallback) -> None:
-        callback.put("aperture_radius", self.aperture_radius)
-        callback.put("focus_distance", self._focus_distance, attribute="_focus_distance")
-        callback.put("x_fov", self.x_fov)
+        for name in ("aperture_radius", "_focus_distance", "x_fov"):
+            callback.put(name.lstrip("_"), getattr(self, name), self.motion_flags(name), attribute=name)
 
     def move_lens(self, frame: Frame) -> None:
         self.aperture_radius = Float(self.aperture_radius[0] * frame.scale)
@@ -69,16 +70,26 @@ class ThinLens(Central):
     def check_parameter(self, name: str, value: Any) -> Any:
         if name not in LENS:
             return super().check_parameter(name, value)
-        number = as_number(value)
+        number = as_number(dr.detach(value))
         if number <= 0:
             raise ParameterError(f"must be greater than 0, found {number:g}")
-        return Float(number)
+        return Float(value) if dr.grad_enabled(value) else Float(number)
 
     def place(self) -> None:
         super().place()
-        linear, radius = self.to_world.matrix[:3, :3], self.aperture_radius[0]
+        linear, radius = self.to_world.matrix[:3, :3], dr.detach(self.aperture_radius)[0]
         self.lens_x, self.lens_y = as_vector(linear[:, 0] * radius), as_vector(linear[:, 1] * radius)
-        self.inv_focus = as_float(1 / self._focus_distance[0])
+        self.inv_focus = as_float(1 / dr.detach(self._focus_distance)[0])
+
+    def moved_rays(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        from djpt.sensors.moving import lens_rays  # images of still cameras need none of it
+
+        return lens_rays(self, values)
+
+    def through_lens(self, aperture_sample: Point2f) -> Any:
+        from djpt.sensors.moving import pinhole
+
+        return pinhole(self, aperture_sample) if self.uses_aperture else self
 
     def lens_point(self, aperture_sample: Point2f) -> tuple[Vector3f, Vector3f]:
         lens = square_to_uniform_disk_concentric(aperture_sample)

@@ -8,6 +8,7 @@ from typing import Any
 import drjit as dr
 
 from djpt.core.records import Ray3f, SurfaceInteraction3f
+from djpt.integrators.projective.detail import seen_through
 from djpt.jit.types import Bool, Color3f, Float, Point2f, UInt32, Vector2f
 
 __all__ = ["cuts_on_film"]
@@ -27,7 +28,7 @@ def cuts_on_film(integrator: Any, scene: Any, sensor: Any, sampler: Any) -> tupl
     There, planes in the place of the surfaces have the same distance t along the ray: the curve is
     g = t_a - t_b = 0, and moves across itself with the speed -(dg / dtheta) / abs(grad g).
     """
-    window = Point2f(sensor.film().crop_size())
+    window, sensor = Point2f(sensor.film().crop_size()), seen_through(sensor, sampler)
     with dr.suspend_grad():
         place = sampler.next_2d() * window
         sin, cos = dr.sincos(2 * math.pi * sampler.next_1d())

@@ -12,6 +12,7 @@ import drjit as dr
 
 from djpt.core.lookup import is_one_of
 from djpt.core.records import SHADOW_EPSILON, DiscontinuityFlags, Interaction3f, RayFlags, SurfaceInteraction3f
+from djpt.description.registry import name_of
 from djpt.errors import RenderError
 from djpt.integrators.projective.guiding import (
     UNIFORM_SHARE,
@@ -26,7 +27,7 @@ from djpt.integrators.projective.projection import ProjectOperation
 from djpt.integrators.projective.receivers import Receiver
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f
 from djpt.sensors.orthographic import Orthographic
-from djpt.sensors.perspective import Perspective
+from djpt.sensors.projective import Central
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
 __all__ = ["ProjectiveDetail"]
@@ -97,7 +98,7 @@ class ProjectiveDetail:
         """The difference of radiance at silhouettes that the sensor sees, and no wavelengths; 0 where it doesn't.
 
         Raises:
-            RenderError: the sensor is neither a perspective nor an orthographic camera.
+            RenderError: the sensor is no camera with a place, nor one with parallel rays.
         """
         with dr.suspend_grad():
             ray = ss.toward_viewer().spawn_ray()
@@ -243,7 +244,7 @@ class ProjectiveDetail:
         Returns the value, no wavelengths, and the place on the film in pixels. The value is attached to the parameters
         of shapes, or, for `preprocess`, the absolute value without the speed of silhouettes.
         """
-        parent = self.parent
+        parent, sensor = self.parent, seen_through(sensor, sampler)
         with dr.suspend_grad():
             lune = DiscontinuityFlags.DirectionLune if parent.guiding == "none" else DiscontinuityFlags.DirectionSphere
             flags = DiscontinuityFlags.AllTypes | DiscontinuityFlags.Creases | lune
@@ -278,16 +279,22 @@ def viewpoint_of(scene: Any, sensor: Any) -> Point3f:
     """The point that a sensor sees outlines from; of one with parallel rays a point far away.
 
     Raises:
-        RenderError: the sensor is neither a perspective nor an orthographic camera.
+        RenderError: the sensor is no camera with a place, nor one with parallel rays.
     """
-    if isinstance(sensor, Perspective):
-        return Point3f(sensor.world_transform().transform_point([0, 0, 0]))
+    if isinstance(sensor, Central):
+        return Point3f(dr.detach(sensor.origin))
     if not isinstance(sensor, Orthographic):
         raise RenderError(
-            f"silhouettes are supported for perspective and orthographic cameras only, found '{sensor.id()}'"
+            "silhouettes are supported for perspective, thinlens and orthographic cameras only, found "
+            f"'{sensor.id()}' ({name_of(type(sensor))})"
         )
     center, radius = scene.bounding_sphere()
     return Point3f(*(float(c) for c in center)) - dr.detach(sensor.direction) * (FAR * float(radius))
+
+
+def seen_through(sensor: Any, sampler: Any) -> Any:
+    """A sensor, of one with a lens what is seen through a random point of it in each lane."""
+    return sensor.through_lens(sampler.next_2d()) if sensor.needs_aperture_sample() else sensor
 
 
 def place_on_film(sensor: Any, p: Point3f) -> Point2f:

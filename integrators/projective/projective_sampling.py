@@ -26,8 +26,11 @@ from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 __all__ = ["PSIntegrator"]
 
 PRIMARY_SEED, GUIDING_SEED, INDIRECT_SEED = 0xFFFFFFFF, 0xAFAFAFAF, 0xAA00AA00
-SHADOW_SEED, CUT_SEED = 0x77777777, 0x33333333
+SHADOW_SEED, CUT_SEED, LENS_SEED = 0x77777777, 0x33333333, 0x55555555
 """Combined with the seed of the image, for samples of their own."""
+
+MOST_LENS_POINTS = 16
+"""Outlines are seen through so many points of a lens, at most: of each they are looked for anew."""
 
 
 class PSIntegrator(RBIntegrator):
@@ -207,24 +210,34 @@ class PSIntegrator(RBIntegrator):
 
     def _shape(self, sensor: Sensor) -> tuple[int, int, int]:
         """The shape of the image."""
-        film = sensor.film()
+        film = sensor.canvas or sensor.film()
         width, height = film.crop_size()
         return height, width, len(film.channel_names()) + len(self.aov_names())
 
     def render_ad(self, scene: Scene, sensor: Any, seed: Any, spp: int, mode: dr.ADMode) -> TensorXf:
         """An image with the derivatives that `radiative_backprop` doesn't compute; its values are meaningless."""
-        camera = find_sensor(scene, sensor).attached()
-        within, primary, indirect = self._counts(camera, spp)
+        sensor = find_sensor(scene, sensor).attached()
+        within, primary, indirect = self._counts(sensor, spp)
+        total = dr.zeros(TensorXf, self._shape(sensor))
+        for camera in sensor.parts():
+            total += self._edges(scene, camera, seed, primary, indirect)
+        if within and not self.radiative_backprop:
+            total += self._attached_image(scene, sensor, seed, within, mode)
+        return total
+
+    def _edges(self, scene: Scene, camera: Sensor, seed: Any, primary: int, indirect: int) -> TensorXf:
+        """The image of all that jumps, attached, with numbers of samples per pixel for what is seen, and for the rest.
+
+        Each part of a batch has samples of its own.
+        """
         total = dr.zeros(TensorXf, self._shape(camera))
+        seed = seed + camera.column
         if scene.silhouette_shapes() or camera.attached_names():
             all_edges = scene.replace(silhouettes_of=followed(scene, camera, self.max_depth, self.direct_light_only))
             if primary:
                 # As the camera moves, so do all outlines.
                 shown = scene.replace(silhouettes_of=outlined(scene, camera))
-                with dr.suspend_grad():
-                    self.proj_detail.init_primarily_visible_silhouette(shown, camera)
-                    sampler, count = self.prepare(camera, PRIMARY_SEED ^ seed, primary, self.aov_names())
-                total += self.render_primarily_visible_silhouette(shown, camera, sampler, count)
+                total += self._outlines(shown, camera, seed, primary)
             if indirect:
                 with dr.suspend_grad():
                     self.proj_detail.init_indirect_silhouette(all_edges, camera, GUIDING_SEED ^ seed)
@@ -236,8 +249,19 @@ class PSIntegrator(RBIntegrator):
                 total += self._splatted(camera, sampler, place, value, found)
         if indirect:
             total += self._shadow_edges(scene, camera, seed, indirect)
-        if within and not self.radiative_backprop:
-            total += self._attached_image(scene, camera, seed, within, mode)
+        return total
+
+    def _outlines(self, scene: Scene, camera: Sensor, seed: Any, spp: int) -> TensorXf:
+        """The image of the silhouettes that a camera sees; with a lens, of those seen through some points of it."""
+        total = dr.zeros(TensorXf, self._shape(camera))
+        points = lens_points(self, camera, seed, spp)
+        for number, point in enumerate(points):
+            pinhole = camera.through_lens(point)
+            with dr.suspend_grad():
+                self.proj_detail.init_primarily_visible_silhouette(scene, pinhole)
+                share = -(-spp // len(points))
+                sampler, count = self.prepare(pinhole, (PRIMARY_SEED - number) ^ seed, share, self.aov_names())
+            total += self.render_primarily_visible_silhouette(scene, pinhole, sampler, count) / len(points)
         return total
 
     def _shadow_edges(self, scene: Scene, sensor: Sensor, seed: Any, spp: int) -> TensorXf:
@@ -288,14 +312,14 @@ class PSIntegrator(RBIntegrator):
         self, sensor: Sensor, sampler: Sampler, place: Point2f, value: Color3f, active: Bool | bool
     ) -> TensorXf:
         """The image of samples of the whole film, at places in pixels; their mean is the mean of the image."""
-        film = sensor.film()
+        film = sensor.canvas or sensor.film()
         film.prepare(list(self.aov_names()))
         block = film.create_block(normalize=True)
-        width, height = film.crop_size()
+        width, height = sensor.film().crop_size()
         color = Color3f(value) * (width * height / sampler.wavefront_size())
         alpha = [Float(0)] if film.flags() & FilmFlags.Alpha else []
         aovs = [Float(0) for _ in self.aov_names()]
-        block.put(place, [color.x, color.y, color.z, *alpha, Float(0), *aovs], active)
+        block.put(place + Point2f(sensor.column, 0), [color.x, color.y, color.z, *alpha, Float(0), *aovs], active)
         film.put_block(block)
         return film.develop()
 
@@ -325,6 +349,23 @@ class PSIntegrator(RBIntegrator):
         """The radiance along rays, or from surface points."""
         options = {**modes(dr.ADMode.Primal, scene, sampler, ray), "depth": depth, "active": Bool(active)}
         return Color3f(self.sample(**options, δL=None, δaovs=None, state_in=None, si_shade=si)[0])
+
+
+def lens_points(integrator: PSIntegrator, camera: Sensor, seed: Any, spp: int) -> list[Point2f]:
+    """Samples of the aperture, as many as there should be points of the lens to look through; one without a lens.
+
+    The set of Hammersley, shifted at random: each point is uniform in the unit square.
+    """
+    if not camera.needs_aperture_sample():
+        return [Point2f(0)]
+    count = min(max(spp // 4, 1), MOST_LENS_POINTS)
+    sampler = camera.sampler().clone()
+    sampler.seed(LENS_SEED ^ seed, 1)
+    shift, number = sampler.next_2d(), dr.arange(UInt32, count)
+    x = Float(number) / count + shift.x
+    y = Float(dr.brev(number)) * 2.0**-32 + shift.y
+    dr.eval(x, y)
+    return [Point2f(*(dr.gather(Float, v - dr.floor(v), UInt32(k)) for v in (x, y))) for k in range(count)]
 
 
 def optional(props: Properties, name: str) -> int | None:

@@ -7,7 +7,7 @@ from typing import Any
 import drjit as dr
 
 from djpt.core.records import SHADOW_EPSILON, EmitterFlags, Interaction3f, has_flag
-from djpt.integrators.projective.detail import FAR
+from djpt.integrators.projective.detail import FAR, seen_through
 from djpt.integrators.projective.outlines import Outlines
 from djpt.integrators.projective.receivers import Receiver
 from djpt.jit.types import Color3f, Point2f, Point3f, UInt32
@@ -37,7 +37,7 @@ class ShadowEdges:
 
     def estimate(self, integrator: Any, sensor: Any, sampler: Any) -> tuple[Color3f, Point2f]:
         """The derivative of the image by random points of the outlines, attached, and their places on the film."""
-        scene = self._scene
+        scene, sensor = self._scene, seen_through(sensor, sampler)
         with dr.suspend_grad():
             ss = self._outlines.sample(sampler.next_2d())
             active = ss.is_valid() & (ss.pdf > 0)

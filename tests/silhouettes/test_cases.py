@@ -447,6 +447,55 @@ CASES |= {
 }
 
 
+def lens(scene: str) -> dict[str, Any]:
+    """Scenes for cameras with a lens: a globe, and a ball over a floor."""
+    camera = sensor(type="thinlens", aperture_radius=0.4, focus_distance=4.0)
+    if scene == "a globe":
+        return {"globe": ball(radius=0.9, emitter={"type": "area", "radiance": SPOTS}), "sensor": camera}
+    return {
+        "ball": ball({"type": "diffuse", "reflectance": SPOTS}, center=[0.5, 0.2, 1], radius=0.8),
+        "floor": GROUND,
+        "light": {"type": "point", "position": [1, 2, 6], "intensity": 40.0},
+        "sensor": camera,
+    }
+
+
+LENS_MOTIONS = {
+    "step aside": shift("sensor.to_world"),
+    "turn": turn_head,
+    "field of view": edit("sensor.x_fov", 20),
+    "aperture": edit("sensor.aperture_radius", 1),
+    "focus": edit("sensor.focus_distance", 3),
+}
+for motion, move in LENS_MOTIONS.items():
+    for where in ("a globe", "the light of a point"):
+        CASES[f"a lens, {motion}: {where}"] = Case(
+            lambda where=where: lens(where), move, spp=512, settings={"sppi": 0} if where == "a globe" else {}
+        )
+CASES["a lens: a ball moves"] = Case(lambda: lens("a ball"), shift("ball.to_world"), spp=512)
+
+
+def pair() -> dict[str, Any]:
+    """Two cameras side by side, of different kinds."""
+    film = {"type": "hdrfilm", "width": SIZE, "height": SIZE, "rfilter": {"type": "box"}, "pixel_format": "rgb"}
+    left = sensor((1, 0, 6), 40, film={"type": "hdrfilm", "width": SIZE // 2, "height": SIZE})
+    right = sensor((-2, 0, 5), 50, type="thinlens", aperture_radius=0.3, focus_distance=5.0)
+    return {"type": "batch", "left": left, "right": right, "film": film}
+
+
+def both(params: Any, theta: Float) -> None:
+    """Turn one camera and zoom with the other one."""
+    own = djpt.Transform4f().rotate([0.6, 0.8, 0], 20 * theta)
+    params["sensor.left.to_world"] = djpt.Transform4f(params["sensor.left.to_world"]) @ own
+    params["sensor.right.x_fov"] = Float(params["sensor.right.x_fov"]) + 20 * theta
+
+
+CASES |= {
+    f"two cameras: {name}": Case(lambda: {**lens("a ball"), "sensor": pair()}, move, spp=512)
+    for name, move in (("they move", both), ("a ball moves", shift("ball.to_world")))
+}
+
+
 def shine(x: float, y: float, z: float) -> Move:
     """Move a point of light."""
 
@@ -491,6 +540,7 @@ CASES |= {
     )
 }
 QUICK = {
+    "two cameras: they move": "direct_projective",
     "a light that moves: a spot": "direct_projective",
     "a light that moves: the sun": "prb_projective",
     "parallel rays: a camera": "direct_projective",

@@ -436,11 +436,25 @@ def test_cameras_that_others_cannot_follow(kind: str) -> None:
         djpt.render(with_camera(), integrator=djpt.load_dict({"type": kind}), spp=1)
 
 
+def test_batches_that_others_cannot_follow() -> None:
+    """One of its cameras moves."""
+    place = T().look_at([0, 0, 6], [0, 0, 0], [0, 1, 0])
+    film = {"type": "hdrfilm", "width": 8, "height": 4}
+    eyes = {name: {"type": "perspective", "fov": 40, "to_world": place} for name in ("left", "right")}
+    scene = djpt.load_dict({**room(), "sensor": {"type": "batch", "film": film, **eyes}})
+    params, fov = djpt.traverse(scene), Float(40)
+    dr.enable_grad(fov)
+    params["sensor.right.x_fov"] = fov
+    params.update()
+    with pytest.raises(RenderError, match=r"'sensor' moves with gradients .*'x_fov': render with"):
+        djpt.render(scene, integrator=djpt.load_dict({"type": "path"}), spp=1)
+    assert dr.grad_enabled(djpt.render(scene, integrator=integrator(), spp=1))
+
+
 def test_cameras_without_derivatives() -> None:
     place = T().look_at([0, 0, 6], [0, 0, 0], [0, 1, 0])
-    sensor = {"type": "thinlens", "aperture_radius": 0.1, "to_world": place}
-    params = djpt.traverse(djpt.load_dict({**room(), "sensor": sensor}))
-    assert not any(params.flags(f"sensor.{key}").differentiable for key in ("to_world", "x_fov", "aperture_radius"))
+    params = djpt.traverse(djpt.load_dict({**room(), "sensor": {"type": "distant", "to_world": place}}))
+    assert not params.flags("sensor.to_world").differentiable
     theta = Float(0)
     dr.enable_grad(theta)
     with pytest.raises(DjptError, match="gradients with respect to this parameter aren't available"):

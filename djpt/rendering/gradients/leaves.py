@@ -100,7 +100,7 @@ def motion_parameters(scene: Scene, sensor: Sensor | None = None) -> list[Parame
 
     `djpt.shapes.silhouettes.moving` says how they are read.
     """
-    placed: list[Any] = [*scene.shapes()] if sensor is None else [*scene.shapes(), sensor]
+    placed: list[Any] = [*scene.shapes()] if sensor is None else [*scene.shapes(), *sensor.members()]
     return [Parameter(owner, name) for owner in placed for name in owner.attached_names()]
 
 
