@@ -13,7 +13,7 @@ from djpt.emitters.light_samplers import LIGHT_SAMPLERS
 from djpt.integrators.base import PathState, Vertex, mis_weight
 from djpt.integrators.paths.unidirectional import UnidirectionalPath
 from djpt.integrators.termination import first_roulette, roulette
-from djpt.jit.types import UInt32
+from djpt.jit.types import Bool, UInt32
 from djpt.samplers.base import SampleStream
 
 if TYPE_CHECKING:
@@ -51,7 +51,8 @@ class Path(UnidirectionalPath):
     ) -> Vertex:
         proceed = self.proceeds(state, si)
         weighted = state.bsdf_pdf > 0
-        met, light = scene.lights.sampling.at_vertex(state.reference, ray, si, sampler.next_2d(), proceed, weighted)
+        sampled = proceed if scene.bsdfs.reflect_lights else Bool(False)
+        met, light = scene.lights.sampling.at_vertex(state.reference, ray, si, sampler.next_2d(), sampled, weighted)
 
         # ---------------------- Emission ----------------------
         mis = dr.select(weighted, mis_weight(state.bsdf_pdf, met.pdf), 1)
@@ -69,7 +70,7 @@ class Path(UnidirectionalPath):
         )
         # The power heuristic from 1 / p_e: one division less.
         mis = dr.select(ds.delta, 1, dr.rcp(1 + dr.square(pdf * ds.weight)))
-        reflected = dr.select(proceed, state.throughput * (value * light.weight * mis), 0)
+        reflected = dr.select(sampled, state.throughput * (value * light.weight * mis), 0)
 
         # ------------------ Russian roulette ------------------
         eta = None if state.eta is None else state.eta * bs.eta
@@ -87,7 +88,7 @@ class Path(UnidirectionalPath):
             state=self.next_state(scene, onward, si, bs, throughput),
             active=proceed & survives,
             valid=self.counts(scene, state, si, bs),
-            lit=proceed & (pdf > 0) & (ds.pdf > 0),
+            lit=sampled & (pdf > 0) & (ds.pdf > 0),
         )
 
     def roulette_depth(self, depth: UInt32) -> UInt32:

@@ -162,6 +162,12 @@ class Emitter(EmitterQuestions):
         """The density of `sample_direction` at `ds`, per unit solid angle at `it`; 0 for delta emitters."""
         raise NotImplementedError
 
+    def eval_and_pdf(
+        self, si: SurfaceInteraction3f, it: Observer, ds: DirectionSample3f, active: Bool | bool = True
+    ) -> tuple[Color3f, Float]:
+        """`eval` at `si`, which a ray from `it` has met, and `pdf_direction` of that ray, which `ds` describes."""
+        return self.eval(si, active), self.pdf_direction(it, ds, active)
+
     def sample_emission(
         self, position_sample: Point2f, direction_sample: Point2f, active: Bool | bool = True
     ) -> EmissionSample:

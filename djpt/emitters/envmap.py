@@ -27,7 +27,7 @@ from djpt.emitters.oriented import OrientedEmitter
 from djpt.errors import ParameterError, SceneError
 from djpt.jit.frozen import recording
 from djpt.jit.kernels import aligned_floats, lerp, maximum, minimum
-from djpt.jit.types import Bool, Color3f, Float, Int32, Normal3f, Point2f, TensorXf, UInt32, Vector3f
+from djpt.jit.types import Array4f, Bool, Color3f, Float, Int32, Normal3f, Point2f, TensorXf, UInt32, Vector3f
 from djpt.textures.texels import as_texels, check_texels, load_texels, numbers_of
 
 __all__ = ["EnvironmentMap"]
@@ -164,28 +164,41 @@ class EnvironmentMap(InfiniteEmitter, OrientedEmitter):
         column, row = dr.select(met, met_column, column), dr.select(met, met_row, row)
 
         # Texels are looked up once, for what the lane does: to meet the map, or to sample it.
-        first = dr.fma(row, self.columns, column)
-        right = dr.select(column + 1 < self.columns, first + 1, first - column)
-        f00, f10 = entry_at(self.texels, first), entry_at(self.texels, right)
-        f01, f11 = entry_at(self.texels, first + self.columns), entry_at(self.texels, right + self.columns)
-        sampled = place_in_cell(f00.w, f10.w, f01.w, f11.w, rest)
+        texels = self._four_texels(column, row)
+        sampled = place_in_cell(*densities_of(texels), sample=rest)
         place = Point2f(dr.select(met, met_place.x, sampled.x), dr.select(met, met_place.y, sampled.y))
-        here = lerp(lerp(f00, f10, place.x), lerp(f01, f11, place.x), place.y)
-        if is_attached(self.data):
-            radiance = self._radiance(column, row, place, True)
-        else:
-            radiance = Color3f(here.x, here.y, here.z) * self.scale
-
+        radiance, density = self._between(texels, column, row, place)
         _, d, sin_theta = self._direction(column, row, place)
         sin_theta = dr.select(met, sine(local), sin_theta)
-        density = here.w
         pdf = density * dr.rcp(sin_theta) * (1 / SPHERE)
         weight = dr.select(density > 0, sin_theta * dr.rcp(density) * SPHERE, 0)
         return radiance, pdf, weight, self.local_to_world(d)
 
     def eval(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
         column, row, place = self._cell(self.world_to_local(-si.wi))
-        return self._radiance(column, row, place, active)
+        return self._between(self._four_texels(column, row), column, row, place)[0]
+
+    def eval_and_pdf(
+        self, si: SurfaceInteraction3f, it: Observer, ds: DirectionSample3f, active: Bool | bool = True
+    ) -> tuple[Color3f, Float]:
+        local = self.world_to_local(-si.wi)
+        column, row, place = self._cell(local)
+        radiance, density = self._between(self._four_texels(column, row), column, row, place)
+        return radiance, density * inverse_sine(local) * (1 / SPHERE)
+
+    def _four_texels(self, column: UInt32, row: UInt32) -> list[Array4f]:
+        """The texels at the corners of a cell: upper left, upper right, lower left, lower right."""
+        first = dr.fma(row, self.columns, column)
+        right = dr.select(column + 1 < self.columns, first + 1, first - column)
+        return [entry_at(self.texels, k) for k in (first, right, first + self.columns, right + self.columns)]
+
+    def _between(self, texels: Sequence[Array4f], column: UInt32, row: UInt32, place: Point2f) -> tuple[Color3f, Float]:
+        """Radiance, and density of `distribution`, at a place between the texels of a cell."""
+        f00, f10, f01, f11 = texels
+        here = lerp(lerp(f00, f10, place.x), lerp(f01, f11, place.x), place.y)
+        if is_attached(self.data):
+            return self._radiance(column, row, place, True), here.w
+        return Color3f(here.x, here.y, here.z) * self.scale, here.w
 
     def sample_direction(
         self, it: Observer, sample: Point2f, active: Bool | bool = True
@@ -229,12 +242,18 @@ class EnvironmentMap(InfiniteEmitter, OrientedEmitter):
         self, distribution: Hierarchical2D, sample: Point2f, active: Bool | bool
     ) -> tuple[Vector3f, Point2f, Float, Float, Color3f]:
         """Sample a direction in the light's space, with its uv, density per solid angle, 1 / density, and radiance."""
-        column, row, place, density = distribution.sample(sample, active)
+        if distribution is self.distribution:
+            column, row, rest = distribution.sample_cell(sample, active)
+            texels = self._four_texels(column, row)
+            place = place_in_cell(*densities_of(texels), sample=rest)
+            radiance, density = self._between(texels, column, row, place)
+        else:
+            column, row, place, density = distribution.sample(sample, active)
+            radiance = self._radiance(column, row, place, True)
         uv, d, sin_theta = self._direction(column, row, place)
         pdf = density * dr.rcp(sin_theta) * (1 / SPHERE)
         weight = dr.select(density > 0, sin_theta * dr.rcp(density) * SPHERE, 0)
-        # Without a mask, which would cost more than what it saves.
-        return d, uv, pdf, weight, self._radiance(column, row, place, True)
+        return d, uv, pdf, weight, radiance
 
     def _direction(self, column: UInt32, row: UInt32, place: Point2f) -> tuple[Point2f, Vector3f, Float]:
         """uv, local direction and sin(theta) of a place in a cell."""
@@ -269,6 +288,12 @@ class EnvironmentMap(InfiniteEmitter, OrientedEmitter):
             return dr.gather(Color3f, self.data.array, index, active)
         texel: Color3f = self.data.at(index, active)
         return texel
+
+
+def densities_of(texels: Sequence[Array4f]) -> tuple[Float, Float, Float, Float]:
+    """The densities at the four texels about a cell."""
+    f00, f10, f01, f11 = texels
+    return f00.w, f10.w, f01.w, f11.w
 
 
 def inverse_sine(d: Vector3f) -> Float:

@@ -68,6 +68,15 @@ class EmitterPtr(Pointer[Emitter]):
         pdf = self.ensemble.call(self.index, self.lookup, lambda e: e.pdf_direction(at, ds, active), Float(0))
         return dr.select(active, pdf, 0)
 
+    def eval_and_pdf(
+        self, si: SurfaceInteraction3f, it: Observer, ds: DirectionSample3f, active: Bool | bool = True
+    ) -> tuple[Color3f, Float]:
+        """The emitted radiance, and the density of `sample_direction` in the direction from which it was met."""
+        value, pdf = self.ensemble.call(
+            self.index, self.lookup, lambda e: e.eval_and_pdf(si, it, ds, active), (Color3f(0), Float(0))
+        )
+        return dr.select(active, value, 0), dr.select(active, pdf, 0)
+
     def eval_direction(self, it: Observer, ds: DirectionSample3f, active: Bool | bool = True) -> Color3f:
         """The weight of `sample_direction` times its density, at `ds`; 0 where there is no emitter."""
         value = self.ensemble.call(self.index, self.lookup, lambda e: e.eval_direction(it, ds, active), Color3f(0))

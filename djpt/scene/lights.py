@@ -69,6 +69,11 @@ class BSDFs:
         return any(has_flag(bsdf.flags(), TRANSMITS) for bsdf in self.plugins)
 
     @property
+    def reflect_lights(self) -> bool:
+        """True unless all are known to be perfectly specular, so that light sampling never finds light."""
+        return not all(bsdf.flags() and not has_flag(bsdf.flags(), BSDFFlags.Smooth) for bsdf in self.plugins)
+
+    @property
     def have_null(self) -> bool:
         """True if a path can pass straight through a surface, as if it weren't there."""
         return any(has_flag(bsdf.flags(), BSDFFlags.Null) for bsdf in self.plugins)

@@ -387,3 +387,29 @@ def test_of_a_small_image_the_last_texels_are_repeated(shape):
     assert np.array_equal(data[: shape[0], : shape[1]], image)
     assert np.array_equal(data[2], data[shape[0] - 1])
     assert np.array_equal(data[:, -1], data[:, shape[1] - 1])
+
+
+# ---------------------------------------------------------------- lookups
+
+
+@pytest.mark.parametrize("compensated", [False, True])
+def test_one_lookup_gives_radiance_and_density(compensated: bool) -> None:
+    sky = emitter(texels(16, 32, "sun"), to_world=TURNED, mis_compensation=compensated)
+    rng = np.random.default_rng(1)
+    there = towards(direction(rng.random(500), rng.random(500)))
+    radiance, pdf = sky.eval_and_pdf(there, None, there)
+    np.testing.assert_array_equal(np.array(radiance), np.array(sky.eval(there)))
+    np.testing.assert_allclose(np.array(pdf), np.array(sky.pdf_direction(None, there)), rtol=1e-6)
+
+
+def test_mirrors_alone_take_no_light_samples() -> None:
+    plain = floor_scene({"sky": light(texels(16, 32, "sun"))}, size=32)
+    mirror, glass = {"type": "conductor", "material": "Au"}, {"type": "dielectric"}
+    shapes = {"sphere": glass, "rectangle": mirror, "disk": mirror, "cube": mirror}
+    scene = {
+        name: {**entry, "bsdf": shapes[entry["type"]]} if isinstance(entry, dict) and entry["type"] in shapes else entry
+        for name, entry in plain.items()
+    }
+    assert not djpt.load_dict(scene).bsdfs.reflect_lights
+    assert djpt.load_dict(plain).bsdfs.reflect_lights
+    assert agreement(ours(scene, spp=16), theirs(scene, spp=16)).share > 0.98

@@ -126,10 +126,14 @@ class LightSampling:
         # Emitters of several kinds are long code, which few packets need: most rays end on surfaces that don't emit.
         shines = emitter.is_valid() if inside is None else emitter.is_valid() & ~inside
         # Copies, because fields that are first read in a branch exist in it alone.
-        pdf = computed_where(shines & weighted, lambda: self.pdf(ref, ds.replaced()), label="emitter density")
-        radiance = computed_where(shines, lambda: emitter.eval(si.replaced()), label="emission")
+        seen = computed_where(shines, lambda: self._met(emitter, ref, si.replaced(), ds.replaced()), label="emission")
         light = computed_where(active, lambda: self.sample(si.replaced(), sample, active), label="light sample")
-        return MetLight(radiance, pdf), light
+        return seen, light
+
+    def _met(self, emitter: EmitterPtr, ref: Observer, si: SurfaceInteraction3f, ds: DirectionSample3f) -> MetLight:
+        """The light of `emitter` that a ray from `ref`, described by `ds`, has met at `si`."""
+        radiance, pdf = emitter.eval_and_pdf(si, ref, ds)
+        return MetLight(radiance, pdf * self.light_sampler.probability(ref.p, ref.n, ds.emitter_index))
 
     def _emitter(self, index: UInt32) -> EmitterPtr:
         return EmitterPtr.into(Family(self.emitters, self.lookup), index)
