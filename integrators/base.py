@@ -385,10 +385,16 @@ class PathIntegrator(Integrator):
         through = self.passes_lights(state)
         return None if through is None else through & ~shadow
 
-    def trace(self, scene: Scene, state: PathState, ray: Ray3f) -> SurfaceInteraction3f:
-        """The next hit of a path."""
+    def trace(
+        self, scene: Scene, state: PathState, ray: Ray3f, sampler: SampleStream | None = None
+    ) -> SurfaceInteraction3f:
+        """The next hit of a path.
+
+        It may leave out hits that `advance` won't ask for, if it knows the `sampler` that is to be given there; nothing
+        is drawn from it.
+        """
         pi = scene.closest_hit(ray, through_lights=self.passes_lights(state))
-        return scene.surface_interaction(ray, pi, full=scene.needs_uv)
+        return scene.surface_interaction(ray, pi, scene.surface_detail)
 
     def advance(
         self, scene: Scene, sampler: SampleStream, state: PathState, ray: Ray3f, si: SurfaceInteraction3f
@@ -534,7 +540,7 @@ def trace_path(
         # a loop again when it finds that something stays what it is.
         way = Ray3f(lane.o, lane.d, maxt=dr.select(lane.state.depth == 0, ray.maxt, dr.inf), medium=lane.medium)
         way.times = lane.times
-        si = integrator.trace(scene, lane.state, way)
+        si = integrator.trace(scene, lane.state, way, lane.sampler)
         v = integrator.advance(scene, lane.sampler, lane.state, way, si)
         reflected, depth = integrator.transmittance(scene, lane.sampler, v), lane.state.depth
         if bounces:

@@ -16,6 +16,7 @@ from djpt.integrators.base import PathState, Vertex, mis_weight
 from djpt.integrators.paths.transmittance import null_transmittance
 from djpt.integrators.paths.unidirectional import UnidirectionalPath
 from djpt.integrators.termination import roulette
+from djpt.jit.kernels import minimum
 from djpt.jit.types import Bool, Color3f, Float, Normal3f, UInt32
 from djpt.media.flight import Flight, of_channel
 from djpt.samplers.base import SampleStream
@@ -24,6 +25,9 @@ if TYPE_CHECKING:
     from djpt.scene.scene import Scene
 
 __all__ = ["VolumetricPath", "VolumetricPathState"]
+
+BEYOND = 1 + 1e-5
+"""The part of a flight's length that is searched for surfaces."""
 
 
 @dataclass
@@ -84,6 +88,17 @@ class VolumetricPath(UnidirectionalPath):
         # Mitsuba draws the number of the roulette before a vertex, also before the first.
         sampler.next_1d()
         return state
+
+    def trace(
+        self, scene: Scene, state: PathState, ray: Ray3f, sampler: SampleStream | None = None
+    ) -> SurfaceInteraction3f:
+        assert isinstance(state, VolumetricPathState)
+        # What light would reach only beyond the end of its flight needn't be found. In thick media that is most.
+        if sampler is not None and ray.medium is not None and state.scatters is None and state.flown is None:
+            reach = scene.media.reach(ray, state.channel, state.throughput, sampler)
+            # A little longer, whatever rounding does to distances. Without matter the distance may be NaN.
+            ray = ray.replaced(maxt=minimum(reach * BEYOND, ray.maxt))
+        return super().trace(scene, state, ray)
 
     def advance(
         self, scene: Scene, sampler: SampleStream, state: PathState, ray: Ray3f, si: SurfaceInteraction3f

@@ -166,6 +166,16 @@ class Medium(Plugin):
 
     # ---- in kernels: flights, as integrators ask for them ----------------------------------
 
+    def reach(
+        self, ray: Ray3f, channel: UInt32 | None, throughput: Color3f, stream: SampleStream, active: Bool
+    ) -> Float:
+        """The distance of `fly`, if it depends on its numbers alone and not on what lies on the way; else infinity.
+
+        Arguments as for `fly`, with a copy of the stream. A class with a closed form of its own for `fly` has one here,
+        too, or returns infinity.
+        """
+        return Float(dr.inf)
+
     def fly(
         self,
         ray: Ray3f,

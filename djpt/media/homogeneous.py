@@ -81,6 +81,24 @@ class Homogeneous(MeasuredMedium):
 
     # ---- flights -------------------------------------------------------------------------
 
+    def reach(
+        self, ray: Ray3f, channel: UInt32 | None, throughput: Color3f, stream: SampleStream, active: Bool
+    ) -> Float:
+        sigma_t = self.extinction(MediumInteraction3f.on(ray, Float(0)), active)
+        return self.drawn(sigma_t, channel, throughput, stream, active)[0]
+
+    def drawn(
+        self, sigma_t: Color3f, channel: UInt32 | None, throughput: Color3f, stream: SampleStream, active: Bool
+    ) -> tuple[Float, Color3f | None]:
+        """A distance, and the probabilities of the channels that one was drawn from; None if none was."""
+        shares = None
+        if not self.has_spectral_extinction():
+            channel = None
+        elif channel is None:
+            shares = channel_probabilities(sigma_t, dr.detach(throughput))
+            channel = channel_drawn(shares, stream.next_1d(active))
+        return -dr.log(1 - stream.next_1d(active)) * dr.rcp(of_channel(sigma_t, channel)), shares
+
     def fly(
         self,
         ray: Ray3f,
@@ -96,11 +114,8 @@ class Homogeneous(MeasuredMedium):
         if differentiated:
             # Derivatives by a thin medium are those of scattering that is hardly ever sampled, or never.
             fixed = dr.maximum(fixed, dr.rcp(minimum(maximum(length, 1 / FAR), FAR)))
-        coloured, shares = self.has_spectral_extinction(), None
-        if coloured and channel is None:
-            shares = channel_probabilities(fixed, dr.detach(throughput))
-            channel = channel_drawn(shares, stream.next_1d(active))
-        t = -dr.log(1 - stream.next_1d(active)) * dr.rcp(of_channel(fixed, channel if coloured else None))
+        coloured = self.has_spectral_extinction()
+        t, shares = self.drawn(fixed, channel, throughput, stream, active)
         scattered = active & (t < length)
         # Mitsuba draws a number here that decides whether the collision is real.
         stream.next_1d(scattered)

@@ -25,7 +25,7 @@ from djpt.media.differentials import ScatteringPoint
 from djpt.media.flight import Flight
 from djpt.media.tracking import Track
 from djpt.samplers.base import SampleStream
-from djpt.shapes.base import Shape
+from djpt.shapes.base import Shape, SurfaceDetail
 
 if TYPE_CHECKING:
     from djpt.media.base import Medium
@@ -171,7 +171,7 @@ class Media:
             hit = self._geometry.closest(ray)
             found = hit.is_valid() & walk.active
             bounds = found & self._bounds.contain(hit.shape_index)
-            surface = self._geometry.surface(ray, hit, self.lookup, False)
+            surface = self._geometry.surface(ray, hit, self.lookup, SurfaceDetail.FRAME)
             leaving = points_outward(surface.n, surface.sh_frame.n, walk.d)
             side = dr.select(leaving, self._inside_of_face.at(hit.face), self._outside_of_face.at(hit.face))
             there = ray(dr.select(found, hit.t, 0))
@@ -219,6 +219,21 @@ class Media:
     def fill(self, medium: UInt32) -> Bool:
         """True where a ray's medium isn't the vacuum."""
         return medium < self.vacuum
+
+    def reach(self, ray: Ray3f, channel: UInt32 | None, throughput: Color3f, stream: SampleStream) -> Float:
+        """The distance at which light is scattered if no surface is nearer, where that is known before the flight.
+
+        Elsewhere infinity. Nothing is drawn from `stream`, which `fly` is to be given next.
+        """
+        assert ray.medium is not None
+        reach = Float(dr.inf)
+        if self.emit or self.are_attached():  # then a flight depends on the surface behind its end
+            return reach
+        for group in self.ensemble.groups:
+            mine, slot = self.ensemble.members(group, ray.medium), self.ensemble.slots(group, ray.medium)
+            medium = group.at(slot, self.lookup)
+            reach = dr.select(mine, medium.reach(ray, channel, throughput, stream.clone(), mine), reach)
+        return reach
 
     def fly(
         self,

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.integrators.base import PathIntegrator
+from djpt.integrators.volpath import VolumetricPath
 from tests.kit.media_scenes import colour, fog, lit_ball
 from tests.media.test_heterogeneous import in_cube, smoke
 
@@ -60,3 +62,24 @@ def test_dense_fog(integrator: str, sigma_t: Any) -> None:
     params.update()
     dr.backward(dr.mean(djpt.render(scene, params, spp=4), axis=None))
     assert np.isfinite(np.array(dr.grad(params[key]))).all()
+
+
+def test_searches_that_end_with_the_flight_find_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The rays of paths in a medium end where light is scattered: bits of images don't change."""
+    glass = {"type": "dielectric", "int_ior": 1.3}
+    medium = {"type": "homogeneous", "sigma_t": {"type": "rgb", "value": [3, 5, 8]}, "albedo": 0.95}
+    scene = djpt.load_dict({
+        "type": "scene",
+        "integrator": {"type": "volpath", "max_depth": 16},
+        "sensor": {
+            "type": "perspective",
+            "to_world": djpt.ScalarTransform4f().look_at(origin=[0, 0, 5], target=[0, 0, 0], up=[0, 1, 0]),
+            "film": {"type": "hdrfilm", "width": 16, "height": 16},
+        },
+        "sky": {"type": "constant"},
+        "body": {"type": "cube", "bsdf": glass, "interior": medium},
+        "ball": {"type": "sphere", "radius": 0.5, "bsdf": {"type": "diffuse"}},
+    })  # fmt: skip
+    bounded = np.array(djpt.render(scene, spp=8))
+    monkeypatch.setattr(VolumetricPath, "trace", lambda self, *arguments: PathIntegrator.trace(self, *arguments))
+    np.testing.assert_array_equal(np.array(djpt.render(scene, spp=8)), bounded)

@@ -141,7 +141,7 @@ def run(job: Job, lanes: Lanes, sink: Sink) -> list[Any]:
         return [dr.select(begun, value, old) for value, old in zip(new, lane.aovs, strict=True)]
 
     def step(lane: Lane, waiting: Finished | None) -> tuple[Lane, Finished | None]:
-        si = integrator.trace(scene, lane.path, lane.ray)
+        si = integrator.trace(scene, lane.path, lane.ray, lane.sampler)
         v = integrator.advance(scene, lane.sampler, lane.path, lane.ray, si)
         here = v.emitted + integrator.transmittance(scene, lane.sampler, v)
         running = lane.k < lanes.end
