@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 
-from djpt.core.records import BSDFContext, BSDFFlags, DirectionSample3f, Ray3f, has_flag
+from djpt.core.records import BSDFContext, BSDFFlags, DirectionSample3f, Ray3f, SurfaceInteraction3f, has_flag
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
 from djpt.emitters.light_samplers import LIGHT_SAMPLERS
@@ -58,7 +58,7 @@ class Direct(Integrator):
         # ------------------- Visible surface ------------------
         through = Bool(True) if self.hide_emitters else None
         pi = scene.closest_hit(ray, active, through_lights=through)
-        si = scene.surface_interaction(ray, pi)
+        si = scene.surface_interaction(ray, pi, scene.surface_detail)
         result = Color3f(0)
         if not self.hide_emitters:
             result += si.emitter().eval(si, active)
@@ -82,15 +82,24 @@ class Direct(Integrator):
             sample2 = sampler.next_2d(lit)
             bs, bsdf_weight = bsdf.sample(ctx, si, sampler.next_1d(lit), sample2, lit)
             ray_b = si.spawn_ray(si.to_world(bs.wo))
-            si_b = scene.ray_intersect(ray_b, lit)
+            si_b = met_by(scene, ray_b, lit)
             ds = DirectionSample3f.between(si.p, ray_b, si_b)
             delta = has_flag(bs.sampled_type, BSDFFlags.Delta)
-            emitter_pdf = dr.select(delta, 0, scene.pdf_emitter_direction(si, ds, lit))
+            emitter_pdf = Float(0)
+            if self.emitter_samples:
+                emitter_pdf = dr.select(delta, 0, scene.pdf_emitter_direction(si, ds, lit))
             mis = mis_weight(bs.pdf * bsdf_fraction, emitter_pdf * emitter_fraction) * (1 / self.bsdf_samples)
             met = si_b.emitter().eval(si_b, lit) * scene.media.transmittance(ray_b, si_b.t)
             result += bsdf_weight * met * mis
 
         return dr.select(active, result * scene.media.transmittance(ray, si.t), 0), si.is_valid() & active, []
+
+
+def met_by(scene: Scene, ray: Ray3f, active: Bool) -> SurfaceInteraction3f:
+    """The surface point that a ray from a surface meets, with derivatives if the ray has some, or if shapes move."""
+    if dr.grad_enabled(ray.o, ray.d) or scene.moving():
+        return scene.ray_intersect(ray, active)
+    return scene.surface_interaction(ray, scene.closest_hit(ray, active), scene.surface_detail)
 
 
 register_integrator("direct", Direct)

@@ -189,7 +189,7 @@ def reader(memory: Float, taps: Taps, row: int) -> Read:
 def prepare_sums(film: Film, integrator: Integrator) -> None:
     """Compile the function that adds an integrator's samples to a film, if they are added by calls."""
     taps = Taps(film.taps, len(image_channels(film, integrator)))
-    if film.filters and "flat" in integrator.schedules and usable(taps, film.rfilter()):
+    if film.filters and {"flat", "wave"} & {*integrator.schedules} and usable(taps, film.rfilter()):
         prepare_function(taps, film.rfilter())
 
 
