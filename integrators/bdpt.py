@@ -217,7 +217,7 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
 
     def light_hit(self, scene: Scene, incoming: Subpath, power: Float, sampler: SampleStream, active: Bool) -> LightHit:
         """Follow a light path to its next vertex."""
-        si = scene.surface_interaction(incoming.ray, scene.closest_hit(incoming.ray), full=scene.needs_uv)
+        si = scene.surface_interaction(incoming.ray, scene.closest_hit(incoming.ray), scene.surface_detail)
         reached = next_vertex(scene, incoming.ray, si, incoming.throughput, sampler)
         vertex = reached.vertex
         subpath = self.joinable(incoming.arrived(vertex, reached.transmittance, self.h))
@@ -274,7 +274,7 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
         first = incoming.depth == 1
         ray = Ray3f(incoming.ray.o, incoming.ray.d, maxt=dr.select(first, maxt, dr.inf), medium=incoming.ray.medium)
         hit = scene.closest_hit(ray, through_lights=first if self.hide_emitters else None)
-        si = scene.surface_interaction(ray, hit, full=scene.needs_uv)
+        si = scene.surface_interaction(ray, hit, scene.surface_detail)
         reached = next_vertex(scene, ray, si, incoming.throughput, sampler)
         vertex, emitted = reached.vertex, reached.emitted
         subpath = incoming.arrived(vertex, reached.transmittance, self.h)

@@ -106,7 +106,7 @@ class StochasticProgressivePhotonMapping(PhotonMapping, Path):
         self, scene: Scene, sampler: SampleStream, path: PhotonPath, store: PhotonStore
     ) -> tuple[PhotonPath, Bool]:
         ray, sample1, sample2 = path.ray, sampler.next_1d(), sampler.next_2d()
-        si = scene.surface_interaction(ray, scene.closest_hit(ray), full=scene.needs_uv)
+        si = scene.surface_interaction(ray, scene.closest_hit(ray), scene.surface_detail)
         flux = path.flux * scene.media.transmittance(ray, si.t)
         # One more edge at least leads to the camera.
         on = si.is_valid() & (path.depth < self.longest)

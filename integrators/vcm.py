@@ -107,7 +107,7 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
         self, scene: Scene, sampler: SampleStream, path: PhotonPath, store: PhotonStore
     ) -> tuple[PhotonPath, Bool]:
         ray = path.subpath.ray
-        si = scene.surface_interaction(ray, scene.closest_hit(ray), full=scene.needs_uv)
+        si = scene.surface_interaction(ray, scene.closest_hit(ray), scene.surface_detail)
         vertex = PathVertex(si, None)
         subpath = path.subpath.arrived(vertex, scene.media.transmittance(ray, si.t), self.h)
         on = si.is_valid() & (subpath.depth < self.joined)

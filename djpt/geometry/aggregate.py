@@ -18,6 +18,7 @@ import numpy as np
 from djpt.core.frame import Frame3f
 from djpt.core.lookup import Numbers, is_one_of
 from djpt.core.records import RAY_EPSILON, PreliminaryIntersection3f, Ray3f
+from djpt.core.records.flags import SurfaceDetail
 from djpt.dispatch.ensemble import Ensemble, Lookup
 from djpt.geometry.query import ANALYTIC, FACE, NONE, Cursor, Near, Query, recentre
 from djpt.geometry.unrolled import Unrolled
@@ -233,15 +234,15 @@ class Geometry:
 
     # ---- surface points ------------------------------------------------------------------
 
-    def surface(self, ray: Ray3f, hit: PreliminaryIntersection3f, lookup: Lookup, full: bool) -> Surface:
-        """The surface point of a hit; uv and dp/du, dp/dv of analytic shapes only if `full`."""
+    def surface(self, ray: Ray3f, hit: PreliminaryIntersection3f, lookup: Lookup, detail: SurfaceDetail) -> Surface:
+        """The surface point of a hit; beyond `detail` its parts are unspecified."""
         if self.triangles is None:
-            return self._analytic_surface(ray, hit.t, hit.face, lookup, full)
+            return self._analytic_surface(ray, hit.t, hit.face, lookup, detail)
         near = hit.near or self._near(ray, hit.t)
-        mesh = self.triangles.surface(near, ray.d, near.t, self.record_of(hit.face), full)
+        mesh = self.triangles.surface(near, ray.d, near.t, self.record_of(hit.face), detail)
         if not self.analytic_shapes:
             return mesh
-        analytic = self._analytic_surface(ray, hit.t, hit.face, lookup, full)
+        analytic = self._analytic_surface(ray, hit.t, hit.face, lookup, detail)
         return dr.select(self.on_mesh(hit.face), mesh, analytic)
 
     def near_again(self, ray: Ray3f, t: Float, found: Near | None) -> Near | None:
@@ -259,11 +260,11 @@ class Geometry:
         origin, entry = self.triangles.enter(ray)
         return Near(origin, t if entry is None else t - entry, entry, None, None)
 
-    def _analytic_surface(self, ray: Ray3f, t: Float, face: UInt32, lookup: Lookup, full: bool) -> Surface:
+    def _analytic_surface(self, ray: Ray3f, t: Float, face: UInt32, lookup: Lookup, detail: SurfaceDetail) -> Surface:
         p = ray(t)
         n, frame = self._frame(face, p, ray.d, lookup)
         uv, dp_du, dp_dv = Point2f(0), Vector3f(0), Vector3f(0)
-        if full and self.analytic_shapes:
+        if detail and self.analytic_shapes:
             local = self.unrolled.local_face(face)
             uv, dp_du, dp_dv = self.surfaces.call(
                 self.unrolled.shape_of(face), lookup, lambda shape: shape.uv_and_partials(p, local), None

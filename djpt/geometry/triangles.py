@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from djpt.core.frame import Frame3f, coordinate_system
 from djpt.core.lookup import Numbers
 from djpt.core.records import Ray3f
+from djpt.core.records.flags import SurfaceDetail
 from djpt.geometry.bvh.calls.trees import CompiledTree
 from djpt.geometry.bvh.steps.records import LEAF, NUMBER, PORTAL, SOLID
 from djpt.geometry.bvh.steps.traversal import into_group
@@ -173,36 +174,44 @@ class Triangles:
         face = dr.select(active & ((kind & PORTAL) == 0), self._face(kind, number), 0)
         return self.meshes.attribute(name, face, uv.x, uv.y)
 
-    def surface(self, near: Near, d: Vector3f, t: Float, record: UInt32, full: bool) -> Surface:
+    def surface(self, near: Near, d: Vector3f, t: Float, record: UInt32, detail: SurfaceDetail) -> Surface:
         """The point where a ray hits a triangle; `t` counts from `near.origin`.
 
-        Unless `full`, uv and the lengths of dp/du and dp/dv are left out: half a record then is enough,
-        without the corners.
+        Only the partials need the corners of triangles; for all else the row of the record is enough, and that of the
+        mesh's face.
         """
         if self.tree.kinds:
             solid = self._placed(near, d, t, record)
             if not self.meshes.meshes:
                 return solid
             is_solid = self.tree.word(record, LABEL, record != NONE) & SOLID
-            return dr.select(is_solid != 0, solid, self._on_triangle(near, d, t, record, full))
-        return self._on_triangle(near, d, t, record, full)
+            return dr.select(is_solid != 0, solid, self._on_triangle(near, d, t, record, detail))
+        return self._on_triangle(near, d, t, record, detail)
 
-    def _on_triangle(self, near: Near, d: Vector3f, t: Float, record: UInt32, full: bool) -> Surface:
-        if near.inside is not None:
-            return self._instanced(near, near.inside, d, t, record)
-        if full or (self.meshes.smooth and near.b is None):
+    def _on_triangle(self, near: Near, d: Vector3f, t: Float, record: UInt32, detail: SurfaceDetail) -> Surface:
+        interpolates = self.meshes.smooth or detail is SurfaceDetail.UV
+        if detail is SurfaceDetail.PARTIALS or (interpolates and near.b is None):
+            if near.inside is not None:
+                return self._instanced(near, near.inside, d, t, record)
             return self._by_corners(near, near.origin, d, record)
-        half = self.tree.row(record)
-        n = Vector3f(*(float_in(word) for word in half[1:4]))
+        words = self.tree.row(record)
+        n = Vector3f(*(float_in(word) for word in words[1:4]))
         tangents = coordinate_system(n)
-        dp_du = dr.fma(tangents[0], float_in(half[6]), tangents[1] * float_in(half[7]))
-        p = dr.fma(d, t, near.origin) + self.tree.center
-        frame, weights = Frame3f(dp_du, dr.cross(n, dp_du), n), Point2f(0)
+        dp_du = dr.fma(tangents[0], float_in(words[6]), tangents[1] * float_in(words[7]))
+        frame, uv, weights = Frame3f(dp_du, dr.cross(n, dp_du), n), Point2f(0), Point2f(0)
         if near.b is not None:
-            weights = near.b
-        if self.meshes.smooth:
-            frame = self.meshes.smooth_frame(self._face(half[4], half[5]), weights, n, dp_du)
-        return Surface(p, n, frame, weights, dp_du, frame.t, weights)
+            uv = weights = near.b
+        if interpolates:
+            corners = self.meshes.corner_row(self._face(words[4], words[5]))
+            frame = self.meshes.smooth_frame(corners, weights, n, dp_du)
+            uv = self.meshes.uv(corners, weights)
+        surface = Surface(dr.fma(d, t, near.origin) + self.tree.center, n, frame, uv, dp_du, frame.t, weights)
+        if near.inside is None:
+            return surface
+        p = surface.p
+        surface = dr.select(near.inside != NONE, to_world(self.tree.map_rows(near.inside), surface), surface)
+        surface.p = p
+        return surface
 
     def _face(self, label: UInt32, detail: UInt32) -> UInt32:
         """The face of a triangle by the words of its record; of any other record the first face, which exists.

@@ -12,6 +12,7 @@ import numpy as np
 
 from djpt.core.lookup import Members, Numbers
 from djpt.core.records import RAY_EPSILON, Ray3f, SurfaceInteraction3f
+from djpt.core.records.flags import SurfaceDetail
 from djpt.core.records.interactions import MediumInteraction3f
 from djpt.description.plugin import Plugin
 from djpt.dispatch.ensemble import Ensemble, Group, Lookup, is_attached
@@ -25,7 +26,7 @@ from djpt.media.differentials import ScatteringPoint
 from djpt.media.flight import Flight
 from djpt.media.tracking import Track
 from djpt.samplers.base import SampleStream
-from djpt.shapes.base import Shape, SurfaceDetail
+from djpt.shapes.base import Shape
 
 if TYPE_CHECKING:
     from djpt.media.base import Medium

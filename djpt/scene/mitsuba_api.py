@@ -16,6 +16,7 @@ from djpt.core.records import (
     RayFlags,
     SurfaceInteraction3f,
 )
+from djpt.core.records.flags import SurfaceDetail
 from djpt.core.records.record import note_latest
 from djpt.dispatch.ensemble import Ensemble, prepare_followed
 from djpt.dispatch.family import NONE, Family
@@ -156,7 +157,7 @@ class MitsubaScene(SceneQueries):
         given = dr.detach(ray)
         near, entry = self.geometry.approach(given)
         pi = self.closest_hit(near, last_mask(reordering, active))
-        surface = self.geometry.surface(near, pi, self.lookup, full=True)
+        surface = self.geometry.surface(near, pi, self.lookup, SurfaceDetail.PARTIALS)
         pi.t = pi.t + entry
         pi.prim_index = self.geometry.primitive_index(pi.face, surface.uv, surface.p, self.lookup)
         pi.prim_uv = dr.select(pi.is_valid(), surface.prim_uv, 0)
@@ -257,7 +258,7 @@ class MitsubaScene(SceneQueries):
     def _on_still_shape(self, ray: Ray3f, pi: PreliminaryIntersection3f, flags: int) -> SurfaceInteraction3f:
         """The surface point of a hit, with its derivatives with respect to the ray."""
         still = dr.detach(ray)
-        fixed = self.geometry.surface(still, pi, self.lookup, full=True)
+        fixed = self.geometry.surface(still, pi, self.lookup, SurfaceDetail.PARTIALS)
         if flags & RayFlags.FollowShape:
             si = self.surface_interaction(still, pi)
             si.t = distance_to(ray, pi, dr.detach(fixed.p))

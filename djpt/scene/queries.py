@@ -10,6 +10,7 @@ import drjit as dr
 
 from djpt.core.lookup import Members
 from djpt.core.records import RAY_EPSILON, DirectionSample3f, PreliminaryIntersection3f, Ray3f, SurfaceInteraction3f
+from djpt.core.records.flags import SurfaceDetail
 from djpt.description.plugin import Plugin
 from djpt.dispatch.ensemble import Ensemble, Lookup
 from djpt.emitters.pointer import EmitterPtr
@@ -19,7 +20,7 @@ from djpt.jit.types import Bool, Color3f, Float, Point3f, UInt32, Vector3f
 from djpt.materials.pointer import BSDFPtr
 from djpt.scene.lights import BSDFs, Lights
 from djpt.scene.media_placement import Media
-from djpt.textures.base import reads_uv
+from djpt.textures.base import detail_read
 
 __all__ = ["SceneQueries", "closed_shapes", "is_inside"]
 
@@ -106,9 +107,10 @@ class SceneQueries(Plugin):
         return self.bsdfs.ensemble, self.lights.ensemble, *self.media.ensembles
 
     @property
-    def needs_uv(self) -> bool:
-        """True if a BSDF or an emitter looks at uv or its derivatives."""
-        return any(reads_uv(plugin) for ensemble in self.ensembles() for plugin in ensemble.plugins)
+    def surface_detail(self) -> SurfaceDetail:
+        """The parts of a surface point that BSDFs, emitters and media look at."""
+        every = (detail_read(plugin) for ensemble in self.ensembles() for plugin in ensemble.plugins)
+        return max(every, default=SurfaceDetail.FRAME)
 
     # ---- surfaces ------------------------------------------------------------------------
 
@@ -128,10 +130,12 @@ class SceneQueries(Plugin):
         """True where a point is within an odd number of closed surfaces; open shapes don't count."""
         return is_inside(self.geometry, p, active)
 
-    def surface_interaction(self, ray: Ray3f, pi: PreliminaryIntersection3f, full: bool = True) -> SurfaceInteraction3f:
-        """The surface point of a preliminary intersection; uv and dp/du, dp/dv only if `full`."""
+    def surface_interaction(
+        self, ray: Ray3f, pi: PreliminaryIntersection3f, detail: SurfaceDetail = SurfaceDetail.PARTIALS
+    ) -> SurfaceInteraction3f:
+        """The surface point of a preliminary intersection; beyond `detail` its parts are unspecified."""
         valid = pi.is_valid()
-        surface = self.geometry.surface(ray, pi, self.lookup, full)
+        surface = self.geometry.surface(ray, pi, self.lookup, detail)
         si: SurfaceInteraction3f = SurfaceInteraction3f.holding(
             p=surface.p,
             n=surface.n,
@@ -150,14 +154,15 @@ class SceneQueries(Plugin):
         si.arrived_with(ray)
         return si
 
-    def revisit(self, p: Point3f, d: Vector3f, face: UInt32, full: bool = False) -> SurfaceInteraction3f:
+    def revisit(
+        self, p: Point3f, d: Vector3f, face: UInt32, detail: SurfaceDetail = SurfaceDetail.PARTIALS
+    ) -> SurfaceInteraction3f:
         """The surface interaction at a stored point `p` of a face, as for a ray of direction `d`.
 
-        uv and its derivatives are computed if BSDFs or emitters need them, or if `full`. A face that belongs to an
-        instance can't be revisited: its number doesn't say which instance.
+        A face that belongs to an instance can't be revisited: its number doesn't say which instance.
         """
         hit = PreliminaryIntersection3f.found(Float(0), face, self.geometry.shape_of(face))
-        return self.surface_interaction(Ray3f(p, d), hit, full=full or self.needs_uv)
+        return self.surface_interaction(Ray3f(p, d), hit, detail=detail)
 
     def primitive_index(self, si: SurfaceInteraction3f) -> UInt32:
         """The primitive of its shape that `si` lies on, numbered as in Mitsuba: triangles of meshes and boxes."""

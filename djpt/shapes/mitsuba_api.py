@@ -271,7 +271,7 @@ class ShapeQuestions(TextureAttributes, SilhouetteQuestions):
         if not self.has_parameterization:  # type: ignore[attr-defined]
             raise SceneError(f"{self.id()}: texture coordinates don't determine a point of this shape")
         ps = self.at_uv(Point2f(uv))  # type: ignore[attr-defined]
-        si = self.alone().revisit(ps.p, -ps.n, UInt32(0), full=True)
+        si = self.alone().revisit(ps.p, -ps.n, UInt32(0))
         si.t = dr.select(active, Float(0), dr.inf)
         return si
 

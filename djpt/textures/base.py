@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any, ClassVar
 
+from djpt.core.records.flags import SurfaceDetail
 from djpt.core.records.record import Wavelengths
 from djpt.description.plugin import Plugin
 from djpt.description.properties import Allowed, Properties
@@ -12,7 +13,7 @@ from djpt.description.registry import lookup
 from djpt.errors import RenderError
 from djpt.jit.types import Bool, Color3f, Float, Point2f, ScalarArray2i, Vector2f
 
-__all__ = ["Texture", "check_textures", "reads_uv"]
+__all__ = ["Texture", "check_textures", "detail_read"]
 
 
 SPECTRA = "no wavelengths: use eval or eval_3 for colours"
@@ -134,11 +135,17 @@ def textures_in(plugin: Plugin) -> Iterator[Texture]:
             yield from textures_in(child)
 
 
-def reads_uv(plugin: Plugin) -> bool:
-    """True if `plugin`, or anything in it, asks for more of a surface point than its place and frame."""
+def detail_read(plugin: Plugin) -> SurfaceDetail:
+    """The parts of a surface point that `plugin`, or anything in it, asks for.
+
+    What is sure to look at uv alone declares its parts; a script's class that doesn't may read all that there is.
+    """
     if getattr(plugin, "needs_uv", False):
-        return True
+        return SurfaceDetail.PARTIALS
     if plugin.kind == "texture":
-        return isinstance(plugin, Texture) and not plugin.is_constant
-    children = [getattr(plugin, name) for name in plugin.children]
-    return any(reads_uv(child) for child in children if isinstance(child, Plugin) and child.kind != "shape")
+        read = SurfaceDetail.UV if isinstance(plugin, Texture) and not plugin.is_constant else SurfaceDetail.FRAME
+    else:
+        children = [getattr(plugin, name) for name in plugin.children]
+        nested = (detail_read(c) for c in children if isinstance(c, Plugin) and c.kind != "shape")
+        read = max(nested, default=SurfaceDetail.FRAME)
+    return SurfaceDetail.PARTIALS if read and plugin.infers else read

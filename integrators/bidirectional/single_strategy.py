@@ -172,7 +172,7 @@ class SingleStrategy:
         """Walk to the next vertex, and turn to the camera's side after the last one of the light's."""
         scene, h, ray, on_light = self.scene, self.bdpt.h, walk.subpath.ray, walk.on_light
         passes_lights = ~on_light & (walk.subpath.depth == 1) if self.bdpt.hide_emitters else None
-        si = scene.surface_interaction(ray, scene.closest_hit(ray, through_lights=passes_lights), full=scene.needs_uv)
+        si = scene.surface_interaction(ray, scene.closest_hit(ray, through_lights=passes_lights), scene.surface_detail)
         vertex, hit = PathVertex(si, None), si.is_valid()
         subpath = walk.subpath.arrived(vertex, scene.media.transmittance(ray, si.t), h)
         is_last = walk.left == 1

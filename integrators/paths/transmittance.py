@@ -191,7 +191,7 @@ class ShadowWalk:
         scene, ray = self._scene, self._ray
         segment = aimed(ray, shadow.o, shadow.medium)
         hit = PreliminaryIntersection3f.found(shadow.t, shadow.face, scene.geometry.shape_of(shadow.face), shadow.near)
-        si = scene.surface_interaction(segment, hit, full=scene.needs_uv)
+        si = scene.surface_interaction(segment, hit, scene.surface_detail)
         on = si.spawn_ray(segment.d)
         # Where the light lies on the surface, the ray has been moved past it.
         ahead = (ray.maxt == dr.inf) | (dr.dot(ray.o + ray.d - on.o, segment.d) > 0)

@@ -21,6 +21,7 @@ import drjit as dr
 
 from djpt.core.frame import Frame3f
 from djpt.core.records import Ray3f, SurfaceInteraction3f
+from djpt.core.records.flags import SurfaceDetail
 from djpt.core.warp import square_to_uniform_disk_concentric
 from djpt.integrators.photons.photon import MOST_EDGES, WORDS, Photon, PhotonStore, memory_for, unpacked
 from djpt.jit.kernels import as_float, while_loop, wide
@@ -267,7 +268,7 @@ def inverse_coverage(
         if "time" in si.__dict__:
             way.time = down.time = si.time
         free = (length > 0) & ~scene.geometry.any_hit(way, search.active)
-        there = scene.surface_interaction(down, scene.closest_hit(down), full=False)
+        there = scene.surface_interaction(down, scene.closest_hit(down), SurfaceDetail.FRAME)
         arrives = free & there.is_valid() & (dr.dot(there.n, si.n) >= FACING)
         points = search.points + 1
         return (Search(search.sampler, points, arrives, search.active & ~arrives & (points < MOST)),)

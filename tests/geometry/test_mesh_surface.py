@@ -10,12 +10,15 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.records import Ray3f
+from djpt.core.records.flags import SurfaceDetail
 from djpt.core.transforms import ScalarTransform4f as T
 from djpt.errors import ParameterError, SceneError
 from djpt.geometry.bvh.leaves import MeshPart
-from djpt.jit.types import Float, Point2f, UInt32
+from djpt.jit.types import Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.shapes.meshes.mesh_set import MeshSet
 from tests.kit.axes import unit
+from tests.kit.mesh_scenes import ball_file, gallery
 from tests.kit.meshes import bumpy_sheet, write_binary_ply
 
 Array = np.ndarray
@@ -278,3 +281,50 @@ def test_edits_that_do_not_fit_are_refused_and_leave_the_mesh_as_it_was(name: st
         np.testing.assert_array_equal(np.array(djpt.traverse(mesh)[key]), old, err_msg=key)
     np.testing.assert_array_equal(mesh.positions, triangle()[0])
     assert mesh.indices.tolist() == [[0, 1, 2]]
+
+
+# ---------------------------------------------------------------- parts of surface points
+
+
+@pytest.mark.parametrize("instanced", [False, True])
+def test_what_is_read_from_rows_is_what_follows_from_corners(tmp_path: Path, instanced: bool) -> None:
+    description = gallery(tmp_path)
+    if instanced:
+        group = {"type": "shapegroup", "ball": {"type": "ply", "filename": ball_file(tmp_path)}}
+        description = {"group": group, **description}
+        for i, turned in enumerate((T().rotate(unit(1, 2, 0), 50).scale([0.4, 0.7, 0.5]), T().scale([-0.6, 0.5, 0.5]))):
+            place = T().translate([-0.5 + i, 0.2, 0.9])
+            description[f"copy{i}"] = {
+                "type": "instance",
+                "ref": {"type": "ref", "id": "group"},
+                "to_world": place @ turned,
+            }
+    scene = djpt.load_dict(description)
+    u = np.random.default_rng(3).random((2, 4000)).astype(np.float32) - 0.5
+    ray = Ray3f(Point3f(0.3, 1.2, 4.5), dr.normalize(Vector3f(0.9 * u[0], 0.7 * u[1] - 0.2, -1)))
+    pi = scene.closest_hit(ray)
+    met = np.array(pi.is_valid())
+    whole = fields(scene.surface_interaction(ray, pi))
+    for detail, names in ((SurfaceDetail.FRAME, ()), (SurfaceDetail.UV, ("uv",))):
+        found = fields(scene.surface_interaction(ray, pi, detail))
+        for name in ("p", "n", *names):
+            np.testing.assert_allclose(found[name][:, met], whole[name][:, met], atol=3e-5, err_msg=name)
+        # Where uv is constant along an edge, so is the tangent, whatever rounding says.
+        aligned = (found["sh_frame.s"] * whole["sh_frame.s"]).sum(axis=0)[met] > 1 - 1e-4
+        assert aligned.mean() > 0.999
+        np.testing.assert_allclose(found["sh_frame.n"][:, met], whole["sh_frame.n"][:, met], atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("bsdf", "read"),
+    [
+        ({"type": "diffuse"}, SurfaceDetail.FRAME),
+        ({"type": "roughplastic"}, SurfaceDetail.FRAME),
+        ({"type": "diffuse", "reflectance": {"type": "checkerboard"}}, SurfaceDetail.UV),
+        ({"type": "twosided", "inner": {"type": "plastic", "nonlinear": True}}, SurfaceDetail.FRAME),
+        ({"type": "bumpmap", "texture": {"type": "checkerboard"}, "bsdf": {"type": "diffuse"}}, SurfaceDetail.PARTIALS),
+        ({"type": "diffuse", "reflectance": {"type": "stripes"}}, SurfaceDetail.PARTIALS),
+    ],
+)
+def test_scenes_compute_what_their_materials_read(bsdf: dict[str, Any], read: SurfaceDetail) -> None:
+    assert djpt.load_dict({"type": "scene", "ball": {"type": "sphere", "bsdf": bsdf}}).surface_detail is read

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.records.flags import SurfaceDetail
 from djpt.geometry.engines import ray_queries
 from djpt.validation import agreement
 from tests.kit.mesh_scenes import PATH, gallery, uv_texture
@@ -88,7 +89,7 @@ def test_sizes_and_sample_counts(folder: Path, size: tuple[int, int], rfilter: s
 def test_textures_by_uv(folder: Path) -> None:
     """A material that looks at uv needs all of a surface point."""
     scene = djpt.load_dict(uv_texture(gallery(folder), "smooth", "flat", "flipped", "mirrored", "ball", "block"))
-    assert scene.needs_uv
+    assert scene.surface_detail is SurfaceDetail.PARTIALS
     machine, flat, wave = images(scene, 8)
     close(machine, flat)
     close(machine, wave)

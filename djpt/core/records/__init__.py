@@ -14,6 +14,7 @@ from djpt.core.records.flags import (
     PhaseFunctionContext,
     PhaseFunctionFlags,
     RayFlags,
+    SurfaceDetail,
     TransportMode,
     has_flag,
 )
@@ -53,6 +54,7 @@ __all__ = [
     "Record",
     "Reference",
     "SceneView",
+    "SurfaceDetail",
     "SurfaceInteraction3f",
     "TransportMode",
     "has_flag",

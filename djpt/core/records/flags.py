@@ -1,4 +1,4 @@
-"""The flags and settings of queries; their values are Mitsuba's."""
+"""The flags and settings of queries; the values of flags are Mitsuba's."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ __all__ = [
     "PhaseFunctionContext",
     "PhaseFunctionFlags",
     "RayFlags",
+    "SurfaceDetail",
     "TransportMode",
     "has_flag",
 ]
@@ -89,6 +90,17 @@ class RayFlags(enum.IntFlag):
     """Derivatives with respect to the shape are left out; those with respect to the ray stay."""
     All = 0xE
     AllNonDifferentiable = 0x10E
+
+
+class SurfaceDetail(enum.IntEnum):
+    """The parts of a surface point that are computed; each includes those before."""
+
+    FRAME = 0
+    """The place, the normals and the shading frame; dp/du without its length."""
+    UV = 1
+    """uv as well."""
+    PARTIALS = 2
+    """dp/du and dp/dv as well."""
 
 
 class DiscontinuityFlags(enum.IntFlag):

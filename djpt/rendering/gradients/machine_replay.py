@@ -92,7 +92,7 @@ def run(job: Job, values: Detached, numbering: Numbering, lanes: TiledLanes, mod
         ray.medium = lane.medium
         stream = lane.sampler.clone()
         leaves, view = mode.view(scene, values, numbering)
-        si = scene.surface_interaction(ray, hit, full=scene.needs_uv)
+        si = scene.surface_interaction(ray, hit, scene.surface_detail)
         si.scene = view
         with dr.resume_grad():
             v = integrator.advance(view, stream, lane.path, ray, si)

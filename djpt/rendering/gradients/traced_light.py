@@ -39,7 +39,7 @@ class TracedLight:
     def step(self, state: Any, sampler: SampleStream, active: Bool) -> Step:
         """See `LightPaths`."""
         scene = self._scene
-        si = scene.surface_interaction(state.ray, scene.closest_hit(state.ray), full=scene.needs_uv)
+        si = scene.surface_interaction(state.ray, scene.closest_hit(state.ray), scene.surface_detail)
         arriving = replace(state, flux=state.flux * scene.media.transmittance(state.ray, si.t))
         v = self._integrator.vertex(scene, self._job.camera, sampler, arriving, si)
         light = self._integrator.seen(scene, v)

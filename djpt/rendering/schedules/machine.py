@@ -119,7 +119,7 @@ def run(job: Job, lanes: TiledLanes, write: Write) -> UInt32:
         blocked = hit.is_valid()
         # Shadow rays end at no vertex: packets without one skip the code of the BSDFs.
         hit.t = dr.select(shadow, dr.inf, hit.t)
-        si = scene.surface_interaction(ray, hit, full=scene.needs_uv)
+        si = scene.surface_interaction(ray, hit, scene.surface_detail)
         v = integrator.advance(scene, stream, lane.path, ray, si)
 
         arrived = dr.select(shadow, dr.select(blocked, 0, lane.pending), v.emitted)

@@ -161,7 +161,7 @@ class Walk:
         shadow, ray, path = lane.shadow, lane.ray, lane.path
         stream = lane.track.stream.clone()
         length = length_of(ray, lane.hit)
-        si = scene.surface_interaction(ray, self._found(lane.hit), full=scene.needs_uv)
+        si = scene.surface_interaction(ray, self._found(lane.hit), scene.surface_detail)
 
         # ----------------- A vertex of the path ---------------
         assert isinstance(path, VolumetricPathState)

@@ -100,7 +100,7 @@ def seen_from(job: Job) -> Seen:
     state = wide(Look(ray, sampler, nothing, Bool(True), UInt32(0)), SIDE * SIDE)
 
     def body(look: Look) -> tuple[Look]:
-        si = scene.surface_interaction(look.ray, scene.closest_hit(look.ray), full=scene.needs_uv)
+        si = scene.surface_interaction(look.ray, scene.closest_hit(look.ray), scene.surface_detail)
         on = look.active & si.is_valid()
         distance = look.seen.distance + dr.select(on, si.t, 0)
         ends = on & scatters(si)

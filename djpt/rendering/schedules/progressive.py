@@ -91,7 +91,7 @@ def walk_light(
 
     def step(lane: Lane) -> tuple[LightPath, Bool]:
         ray = lane.path.ray
-        si = scene.surface_interaction(ray, scene.closest_hit(ray), full=scene.needs_uv)
+        si = scene.surface_interaction(ray, scene.closest_hit(ray), scene.surface_detail)
         arriving = replace(lane.path, flux=lane.path.flux * scene.media.transmittance(ray, si.t))
         return vertex(lane.sampler, arriving, si)
 

@@ -30,7 +30,19 @@ __all__ = ["AreaTable", "Corners", "MeshSet"]
 Corners = tuple[Point3f, Point3f, Point3f]
 
 HAS_NORMALS, HAS_TEXCOORDS, FLIPS = 1, 2, 4
-"""Bits in the fourth word of a face's row: the mesh has vertex normals, texture coordinates, `flip_normals`."""
+"""Flags of faces: the mesh has vertex normals, texture coordinates, `flip_normals`."""
+
+CORNER_WORDS = 16
+"""Words of a face's row in the table of corners: three normals, three pairs of texture coordinates, flags."""
+
+
+@dataclass
+class CornerRow:
+    """The row of a face in the table of corners: its vertices' normals and texture coordinates."""
+
+    normals: tuple[Vector3f, Vector3f, Vector3f]
+    texcoords: tuple[Point2f, Point2f, Point2f]
+    flags: UInt32
 
 
 class MeshSet:
@@ -56,13 +68,12 @@ class MeshSet:
         counts = [len(mesh.indices) for mesh in self.meshes]
         self.first_face = [int(n) for n in np.cumsum([0, *counts])[:-1]]
         self.face_count = sum(counts)
-        self._normals = self._table([mesh.normals for mesh in self.meshes], 4)
-        self._texcoords = self._table([mesh.texcoords for mesh in self.meshes], 2)
         self._has_normals = Presence([mesh.normals is not None for mesh in self.meshes], HAS_NORMALS)
         self._has_texcoords = Presence([mesh.texcoords is not None for mesh in self.meshes], HAS_TEXCOORDS)
         self._flips = Presence([mesh.flip_normals for mesh in self.meshes], FLIPS)
         self._positions = self._table([mesh.positions for mesh in self.meshes], 4)
-        topology = [Topology(mesh.indices, len(mesh.positions), self._bits(i)) for i, mesh in enumerate(self.meshes)]
+        self._corners = self._corner_table()
+        topology = [Topology(mesh.indices, len(mesh.positions)) for mesh in self.meshes]
         if topology != self._topology or not topology:
             # A scene's BVH may hold analytic shapes alone: the table is then never read.
             self._faces = own_copy(self._face_rows() if topology else np.zeros((1, 4), np.uint32))
@@ -75,15 +86,28 @@ class MeshSet:
         for mesh, first in zip(self.meshes, self.first_face, strict=True):
             mesh.join(self, first)
 
-    def _face_rows(self) -> NDArray[np.uint32]:
-        """Per face its three set-wide vertices and the flags of its mesh."""
-        rows = np.empty((self.face_count, 4), np.uint32)
-        vertex = 0
+    def _corner_table(self) -> UInt32 | None:
+        """What is interpolated on faces, in one cache line for each; None if there is nothing but flags of all."""
+        if not (self._has_normals.any or self._has_texcoords.any or self._flips.mixed):
+            return None
+        rows = np.zeros((self.face_count, CORNER_WORDS), np.float32)
         for i, (mesh, first) in enumerate(zip(self.meshes, self.first_face, strict=True)):
+            part = rows[first : first + len(mesh.indices)]
+            if mesh.normals is not None:
+                part[:, :9] = mesh.normals[mesh.indices].reshape(-1, 9)
+            if mesh.texcoords is not None:
+                part[:, 9:15] = mesh.texcoords[mesh.indices].reshape(-1, 6)
+            part[:, 15] = np.uint32(self._bits(i)).view(np.float32)
+        return own_copy(rows)
+
+    def _face_rows(self) -> NDArray[np.uint32]:
+        """Per face its three set-wide vertices, and 0."""
+        rows = np.zeros((self.face_count, 4), np.uint32)
+        vertex = 0
+        for mesh, first in zip(self.meshes, self.first_face, strict=True):
             part = rows[first : first + len(mesh.indices)]
             part[:, :3] = mesh.indices
             part[:, :3] += np.uint32(vertex)
-            part[:, 3] = self._bits(i)
             vertex += len(mesh.positions)
         return rows
 
@@ -122,37 +146,49 @@ class MeshSet:
         return p0, p1, p2
 
     def face_row(self, face: UInt32, active: Bool | bool = True) -> list[UInt32]:
-        """The vertices of a face, and the flags of its mesh."""
+        """The vertices of a face."""
         return load(self._faces, face, 4, active)
 
-    def normal_of(self, row: Any, b: Sequence[Float], otherwise: Vector3f) -> Vector3f:
+    def corner_row(self, face: UInt32) -> CornerRow | None:
+        """What is interpolated on a face; None if no mesh has anything."""
+        if self._corners is None:
+            return None
+        half = CORNER_WORDS // 2
+        words = [*load(self._corners, 2 * face, half), *load(self._corners, 2 * face + 1, half)]
+        x = [float_in(word) for word in words[:15]]
+        n0, n1, n2 = (Vector3f(*x[k : k + 3]) for k in (0, 3, 6))
+        uv0, uv1, uv2 = (Point2f(*x[k : k + 2]) for k in (9, 11, 13))
+        return CornerRow((n0, n1, n2), (uv0, uv1, uv2), words[15])
+
+    def normal_of(self, row: CornerRow | None, b: Sequence[Float], otherwise: Vector3f) -> Vector3f:
         """The interpolated unit normal at barycentric weights `b`; `otherwise`, a unit normal, where there is none."""
-        if self._normals is None:
+        if not self.smooth or row is None:
             return otherwise
-        n0, n1, n2 = (load_vector(self._normals, row[k]) for k in range(3))
+        n0, n1, n2 = row.normals
         n = dr.fma(n2, b[2], dr.fma(n1, b[1], n0 * b[0]))
         # A vertex without a normal, or normals that cancel.
         squared = dr.squared_norm(n)
         return dr.select(squared > 0, n * dr.rsqrt(squared), otherwise)
 
-    def texcoords_of(self, row: Any) -> tuple[Point2f, Point2f, Point2f]:
-        """The corners' texture coordinates; for a set that has some."""
-        assert self._texcoords is not None
-        words = [load(self._texcoords, row[k], 2) for k in range(3)]
-        uv0, uv1, uv2 = (Point2f(float_in(u), float_in(v)) for u, v in words)
-        return uv0, uv1, uv2
+    def uv(self, row: CornerRow | None, b: Point2f) -> Point2f:
+        """The interpolated texture coordinates at the weights `b` of the second and third corner; `b` without any."""
+        if not self._has_texcoords.any or row is None:
+            return b
+        uv0, uv1, uv2 = row.texcoords
+        interpolated = dr.fma(uv2, b.y, dr.fma(uv1, b.x, uv0 * (1 - b.x - b.y)))
+        return self._has_texcoords.choose(row, interpolated, b)
 
     def point(self, face: UInt32, b1: Float, b2: Float) -> tuple[Point3f, Vector3f, Point2f]:
         """Position, shading normal and uv of a point with weights `b1`, `b2`: what light sampling needs."""
         p0, p1, p2 = self.vertices(face)
-        row = self.face_row(face)
+        row = self.corner_row(face)
         b0 = 1 - b1 - b2
         edge1, edge2 = p1 - p0, p2 - p0
         n = self.normal_of(row, (b0, b1, b2), unit_or_up(dr.cross(edge1, edge2)))
         n = self._flips.choose(row, -n, n) if self._flips.any else n
         uv = Point2f(b1, b2)
-        if self._has_texcoords.any:
-            uv0, uv1, uv2 = self.texcoords_of(row)
+        if self._has_texcoords.any and row is not None:
+            uv0, uv1, uv2 = row.texcoords
             interpolated = dr.fma(uv0, b0, dr.fma(uv1, b1, uv2 * b2))
             uv = self._has_texcoords.choose(row, interpolated, uv)
         return dr.fma(edge1, b1, dr.fma(edge2, b2, p0)), n, uv
@@ -168,10 +204,10 @@ class MeshSet:
         p0, p1, p2 = corners
         edge1, edge2 = p1 - p0, p2 - p0
         n = unit_or_up(dr.cross(edge1, edge2))
-        row = self.face_row(face) if self._reads_rows() else None
+        row = self.corner_row(face)
         uv, dp_du, dp_dv = Point2f(b1, b2), edge1, edge2
-        if self._has_texcoords.any:
-            uv0, uv1, uv2 = self.texcoords_of(row)
+        if self._has_texcoords.any and row is not None:
+            uv0, uv1, uv2 = row.texcoords
             d1, d2 = uv1 - uv0, uv2 - uv0
             determinant = dr.fma(d1.x, d2.y, -d1.y * d2.x)
             solvable, inv = determinant != 0, dr.rcp(determinant)
@@ -191,19 +227,15 @@ class MeshSet:
     @property
     def smooth(self) -> bool:
         """Whether any mesh has vertex normals."""
-        return self._normals is not None
+        return self._has_normals.any
 
-    def smooth_frame(self, face: UInt32, b: Point2f, n: Vector3f, dp_du: Vector3f) -> Frame3f:
+    def smooth_frame(self, row: CornerRow | None, b: Point2f, n: Vector3f, dp_du: Vector3f) -> Frame3f:
         """The shading frame at a point of a face with the normal `n` and the tangent `dp_du`."""
-        row = self.face_row(face)
         # `n` has been flipped, the vertex normals haven't.
         flipped = self._flips.choose(row, -n, n) if self._flips.any else n
         shading = self.normal_of(row, (1 - b.x - b.y, b.x, b.y), flipped)
         shading = self._flips.choose(row, -shading, shading) if self._flips.any else shading
         return self._frame(shading, dp_du)
-
-    def _reads_rows(self) -> bool:
-        return self._has_normals.any or self._has_texcoords.any or self._flips.mixed
 
     def _frame(self, n: Vector3f, dp_du: Vector3f) -> Frame3f:
         """The shading frame whose `s` follows dp/du."""
@@ -238,17 +270,16 @@ class Topology:
 
     indices: NDArray[np.uint32]
     vertex_count: int
-    flags: int
 
     def __eq__(self, other: object) -> bool:
         """Whether the rows would be the same; edits put new arrays in the place of old ones."""
         return isinstance(other, Topology) and (
-            self.indices is other.indices and self.vertex_count == other.vertex_count and self.flags == other.flags
+            self.indices is other.indices and self.vertex_count == other.vertex_count
         )
 
 
 class Presence:
-    """Which meshes have a kind of data, such as vertex normals; `flag` is its bit in the rows of faces."""
+    """Which meshes have a kind of data, such as vertex normals; `flag` is its bit among those of faces."""
 
     def __init__(self, present: Sequence[bool], flag: int) -> None:
         self._present, self._flag = present, flag
@@ -259,9 +290,11 @@ class Presence:
         """The flag if the mesh has the data, else 0."""
         return self._flag if self._present[mesh] else 0
 
-    def choose(self, row: Any, present: Any, absent: Any) -> Any:
+    def choose(self, row: CornerRow | None, present: Any, absent: Any) -> Any:
         """`present` on faces of meshes that have the data, else `absent`; at least one mesh must have it."""
-        return dr.select((row[3] & self._flag) != 0, present, absent) if self.mixed else present
+        if not self.mixed or row is None:
+            return present
+        return dr.select((row.flags & self._flag) != 0, present, absent)
 
 
 class Attribute:
