@@ -8,11 +8,23 @@ from typing import Any
 import drjit as dr
 
 from djpt.core.memory import RESERVE, shortage
+from djpt.core.warp import direction_at, place_of
 from djpt.errors import RenderError
-from djpt.integrators.photons import directions
-from djpt.jit.types import ArrayXf, Bool, Color3f, Float, Normal3f, Point3f, UInt32, Vector2f, Vector3f
+from djpt.jit.types import ArrayXf, Bool, Color3f, Float, Int32, Normal3f, Point2f, Point3f, UInt32, Vector2f, Vector3f
 
-__all__ = ["WORDS", "Photon", "PhotonStore", "bytes_of", "memory_for", "require_memory", "unpacked"]
+__all__ = [
+    "WORDS",
+    "Photon",
+    "PhotonStore",
+    "bytes_of",
+    "coded",
+    "decoded",
+    "direction_in",
+    "memory_for",
+    "require_memory",
+    "unpacked",
+    "word_of",
+]
 
 WORDS = 8
 """The words of 32 bits that a photon takes, and one packet of memory."""
@@ -145,15 +157,50 @@ def packed(photon: Photon) -> ArrayXf:
     """A photon as a packet, without its weights."""
     p, flux = photon.p, photon.flux
     edges = dr.minimum(UInt32(photon.edges), MOST_EDGES)
-    word: Any = dr.reinterpret_array(Float, edges | (directions.coded(photon.n, NORMAL_DIGITS) << EDGES_DIGITS))
-    return ArrayXf([p.x, p.y, p.z, Float(word), flux.x, flux.y, flux.z, directions.packed(photon.d)])
+    word: Any = dr.reinterpret_array(Float, edges | (coded(photon.n, NORMAL_DIGITS) << EDGES_DIGITS))
+    return ArrayXf([p.x, p.y, p.z, Float(word), flux.x, flux.y, flux.z, word_of(photon.d)])
 
 
 def unpacked(packet: ArrayXf, weights: Vector2f | None) -> Photon:
     """The photon of a packet, and of weights if it has some."""
     x, y, z, word, red, green, blue, way = packet
     bits: Any = dr.reinterpret_array(UInt32, word)
-    n = Normal3f(directions.decoded(UInt32(bits) >> EDGES_DIGITS, NORMAL_DIGITS))
+    n = Normal3f(decoded(UInt32(bits) >> EDGES_DIGITS, NORMAL_DIGITS))
     edges = Float(UInt32(bits) & MOST_EDGES)
-    photon = Photon(Point3f(x, y, z), n, edges, directions.unpacked(way), Color3f(red, green, blue))
+    photon = Photon(Point3f(x, y, z), n, edges, direction_in(way), Color3f(red, green, blue))
     return photon if weights is None else replace(photon, vcm=weights.x, vc=weights.y)
+
+
+DIGITS = 16
+"""Binary digits of a coordinate of a direction that fills a word."""
+
+
+def coded(d: Vector3f, digits: int) -> UInt32:
+    """A unit vector in a whole number with twice as many binary `digits` as each of its two coordinates has."""
+    half = half_of(digits)
+    low, high = (UInt32(Int32(dr.round(dr.fma(c, half, half)))) for c in place_of(d)[0])
+    return low | (high << digits)
+
+
+def decoded(bits: UInt32, digits: int) -> Vector3f:
+    """The unit vector encoded by `coded`."""
+    inverse = 1 / half_of(digits)
+    u, v = (dr.fma(Float(Int32(c)), inverse, -1) for c in (bits & (2**digits - 1), bits >> digits))
+    return direction_at(Point2f(u, v))
+
+
+def word_of(d: Vector3f) -> Float:
+    """A unit vector stored in the bits of a `Float`, which isn't meaningful as a number."""
+    word: Any = dr.reinterpret_array(Float, coded(d, DIGITS))
+    return Float(word)
+
+
+def direction_in(word: Float) -> Vector3f:
+    """The unit vector stored by `word_of`."""
+    bits: Any = dr.reinterpret_array(UInt32, word)
+    return decoded(UInt32(bits), DIGITS)
+
+
+def half_of(digits: int) -> int:
+    """The steps from the square's centre to its side."""
+    return int(2 ** (digits - 1) - 1)

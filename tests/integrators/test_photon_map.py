@@ -11,7 +11,7 @@ import pytest
 
 from djpt.core import memory
 from djpt.errors import RenderError
-from djpt.integrators.photons import Photon, PhotonMap, PhotonStore, directions, photon
+from djpt.integrators.photons import Photon, PhotonMap, PhotonStore, photon
 from djpt.integrators.photons.map import (
     ALONG_Y,
     ALONG_Z,
@@ -142,7 +142,7 @@ def test_directions_in_a_word() -> None:
     d = np.random.default_rng(6).normal(size=(100_000, 3)).astype(np.float32)
     d[:6] = np.concatenate([np.eye(3), -np.eye(3)])
     d /= np.linalg.norm(d, axis=1, keepdims=True)
-    found = np.array(directions.unpacked(directions.packed(Vector3f(d.T)))).T
+    found = np.array(photon.direction_in(photon.word_of(Vector3f(d.T)))).T
     np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1, atol=1e-6)
     assert np.linalg.norm(found - d, axis=1).max() < 6.5e-5
     np.testing.assert_allclose(found[:6], d[:6], atol=1e-7)
