@@ -254,7 +254,7 @@ SamplingIntegrator = Integrator
 """Mitsuba's name: every integrator of djpt has a method `sample`."""
 
 SMALL = 1e-3
-"""Factors below it are set aside: divided by them, rounding errors of what they are a part of would count."""
+"""Smaller factors are kept apart: dividing by them would amplify the rounding errors of products that contain them."""
 
 State = TypeVar("State", bound="PathState")
 
@@ -281,7 +281,7 @@ class PathState:
     depth: UInt32
     """The number of vertices so far."""
     n: Normal3f | None = None
-    """Geometric normal of the previous vertex; None if the choice of emitters doesn't look at it."""
+    """Geometric normal of the previous vertex; None if the light sampler doesn't use it."""
     covered: Bool | None = None
     """True once a vertex was met that isn't a null interface; None in scenes without null interfaces."""
     zero_weight: Color3f | None = None
@@ -336,9 +336,9 @@ class Vertex:
     ray: Ray3f
     """The continuation."""
     state: PathState
-    """The state of the path that goes on."""
+    """The state of the continued path."""
     active: Bool
-    """True where the path goes on."""
+    """True where the path continues."""
     valid: Bool
     """True where the sample counts as covered, if the path ends here."""
     lit: Bool | None = None

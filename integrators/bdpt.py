@@ -107,7 +107,7 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
 
     @property
     def starts_light_paths(self) -> bool:
-        """True if there are light paths: not if all that is shown comes straight from emitters."""
+        """True if there are light paths: false if only directly visible light is shown."""
         return not 0 <= self.max_depth <= 1
 
     def layer_names(self) -> Sequence[str]:
@@ -312,13 +312,13 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
         return CameraStep(s, lit_by, weight, vertex.si.is_valid() & ~vertex.passes(s))
 
     def after(self, scene: Scene, hit: CameraHit, step: CameraStep, sampler: SampleStream) -> tuple[Subpath, Bool]:
-        """The camera path that goes on from a vertex, and where it does."""
+        """The continuation of a camera path at a vertex, and where there is one."""
         onward, survives = self.onwards(scene, sampler, hit, step.scattering, hit.subpath.depth >= self.roulette_from)
         active = hit.active & survives
         return onward, active & (onward.depth <= self.longest) if scene.media.scatter else active
 
     def met(self, scene: Scene, subpath: Subpath, vertex: PathVertex, covered: Bool) -> tuple[Color3f, Float]:
-        """The light of the surface, or of the sky, that a camera path has met, and its weight: s = 0."""
+        """The emission of the surface, or of the environment, that a camera path has hit, and its weight: s = 0."""
         si = vertex.si
         emitter = si.emitter()
         radiance = subpath.throughput * emitter.eval(si)
@@ -394,7 +394,7 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
         return subpath
 
     def shared(self, others: Float, edges: UInt32) -> Float:
-        """The part of a weight that comes of further strategies, which longer paths don't have."""
+        """The part of a weight due to further strategies, which longer paths lack."""
         return dr.select(edges <= self.joined, others, 0)
 
     def onwards(

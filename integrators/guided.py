@@ -43,7 +43,7 @@ DOUBT = 300
 """The visits after which a guide is followed half as often as one that is certain."""
 
 BLUR = 0.2
-"""The fraction of a square's tickets that goes to either neighbour, along rows and then along columns."""
+"""The fraction of a square's weight given to either neighbour, along rows and then along columns."""
 
 
 @dataclass

@@ -36,15 +36,15 @@ class LightVertex:
     position: Point2f
     """The place on the film that shows it, in [0, 1)^2 of the crop window."""
     splat: Color3f
-    """The light that the film receives there, per area of the window, if nothing stands between."""
+    """The light that the film receives there, per area of the window, without visibility."""
     shadow_ray: Ray3f
     """The ray from the vertex to the camera."""
     lit: Bool | None
     """True where light could arrive if it weren't black; None unless derivatives are computed."""
     path: LightPath
-    """The state of the path that goes on."""
+    """The state of the continued path."""
     active: Bool
-    """True where the path goes on."""
+    """True where the path continues."""
 
 
 class ParticleTracer(Terminating, PassIntegrator):

@@ -422,7 +422,7 @@ def eval_pdf_light(
 def sample_light(
     bsdf: BSDF, si: SurfaceInteraction3f, sample1: Float, sample2: Point2f, active: Bool | bool = True
 ) -> tuple[BSDFSample3f, Color3f]:
-    """Sample where light that arrives from `si.wi` goes, with the value of `eval_pdf_light` over the density."""
+    """Sample a direction for light that arrives from `si.wi`, with the value of `eval_pdf_light` over the density."""
     bs, weight = bsdf.sample(FROM_LIGHT, si, sample1, sample2, active)
     ratio = geometric_ratio(si, bs.wo)
     corrected = weight * dr.select(ratio != 0, dr.abs(si.wi.z * ratio * dr.rcp(bs.wo.z)), 0)

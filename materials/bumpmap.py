@@ -69,7 +69,7 @@ class BumpMap(PerturbedBSDF):
 
 
 def sees_tangent(plugin: Plugin) -> bool:
-    """True if the BSDF looks different if its frame is turned about the normal."""
+    """True if the BSDF changes when its frame is rotated about the normal."""
     if isinstance(plugin, PerturbedBSDF):
         return True
     children = [getattr(plugin, name) for name in plugin.children]

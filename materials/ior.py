@@ -114,7 +114,7 @@ SAME_IN_PALIK: Final = (
 METALS.update({f"{name}_palik": METALS[name] for name in SAME_IN_PALIK.split()})
 
 LARGEST: Final = 1e6
-"""The largest eta and k: no solid comes near, and Fresnel's equations overflow beyond."""
+"""The largest eta and k, far beyond any solid's; Fresnel's equations overflow for larger ones."""
 
 
 def metal(props: Properties) -> tuple[Texture, Texture]:

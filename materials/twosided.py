@@ -105,7 +105,7 @@ class TwoSidedAtPoint:
     """True where the surface is seen from behind."""
     front: BSDFAtPoint
     back: BSDFAtPoint | None
-    """None stands for the same as in front."""
+    """None stands for the same BSDF as in front."""
 
     def eval_pdf(self, wo: Vector3f) -> tuple[Color3f, Float]:
         return self._of_side(lambda bsdf: bsdf.eval_pdf(self._flipped(wo)))

@@ -157,7 +157,7 @@ class MarginalContinuous2D(Marginal2D):
 
 
 def share(x: Float, low: Float, high: Float) -> Float:
-    """The place of a number in an interval; what is left of it, if the interval is empty."""
+    """The relative place of a number in an interval; its distance from the start if the interval is empty."""
     return dr.select(high != low, (x - low) / (high - low), x - low)
 
 

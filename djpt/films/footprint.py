@@ -1,4 +1,4 @@
-"""The pixels that light at a place of the film goes to, the way back, and sums that any lane may add to."""
+"""The pixels reached by light at a point of the film, the transpose, and sums that any lane may add to."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ class SpreadReader(Footprint):
         dr.eval(self._memory)
 
     def at(self, position: Point2f, active: Bool) -> Color3f:
-        """The weighted sum about a position in [0, 1)^2; 0 where it isn't `active`, whatever the position."""
+        """The weighted sum about a position in [0, 1)^2; 0 on lanes that aren't `active`."""
 
         def read(pixel: UInt32, share: Color3f, inside: Bool, found: Color3f) -> tuple[Color3f]:
             texel = dr.gather(Array4f, self._memory, pixel, active & inside)
@@ -192,7 +192,7 @@ class Splats(Footprint):
 
 
 class ChangeSplats(Splats):
-    """Sums of changes, whose size nobody knows before: numbers in double precision, whose last bits may vary."""
+    """Sums of derivatives, whose magnitude isn't known in advance: in double precision; their last bits may vary."""
 
     def __init__(self, film: Film) -> None:
         super().__init__(film, 2.0**DIGITS)

@@ -132,7 +132,7 @@ class Found:
     inside: UInt32 | None
     """The record of the instance that the hit belongs to, or NONE; None in scenes without instances."""
     b: Point2f | None = None
-    """Barycentric weights of the second and third corner, if the search tells them."""
+    """Barycentric weights of the second and third corner, if the search provides them."""
 
     @property
     def t(self) -> Float:
@@ -158,7 +158,7 @@ class Near:
 
 @dataclass
 class Query:
-    """A ray that has met the unrolled shapes, and how far it has come in the BVH."""
+    """A ray that has been tested against the unrolled shapes, and its progress in the BVH."""
 
     o: Point3f
     """The origin, near the triangles, as seen from the centre of the BVH."""

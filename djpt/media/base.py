@@ -273,7 +273,7 @@ class MeasuredMedium(Medium):
         return bool(has_flag(self.phase.flags(), PhaseFunctionFlags.Microflake))
 
     def effective(self, density: Color3f, mi: MediumInteraction3f, active: Bool | bool) -> Color3f:
-        """The extinction from the value of `sigma_t`, for light that comes from `mi.wi`."""
+        """The extinction of light arriving from `mi.wi`, by the value of `sigma_t`."""
         sigma_t = density * self.scale
         if self.is_of_flakes():
             sigma_t = sigma_t * self.phase.projected_area(mi, active)

@@ -28,7 +28,7 @@ THIN = 0.05
 """Up to this optical depth four terms of the series of exp are exact in single precision."""
 
 DENSEST = 1e18
-"""Denser matter counts as this: light gets no further, and squares and inverses stay finite."""
+"""The largest extinction; denser media are clamped to it, so that squares and inverses stay finite."""
 
 
 class Homogeneous(MeasuredMedium):
@@ -159,7 +159,7 @@ def channel_probabilities(sigma_t: Color3f, throughput: Color3f) -> Color3f:
 
 
 def channel_drawn(shares: Color3f, u: Float) -> UInt32:
-    """The channel that a uniform number stands for."""
+    """The channel that a uniform number selects."""
     last: UInt32 = dr.select(u < shares.x + shares.y, UInt32(1), UInt32(2))
     return dr.select(u < shares.x, UInt32(0), last)
 

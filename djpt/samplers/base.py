@@ -47,7 +47,7 @@ class SampleIndex:
 
 @dataclass
 class WavefrontIndex(SampleIndex):
-    """The index of a sample in a wavefront of scripts: lanes are numbered, whatever pixels they stand for."""
+    """The index of a sample in a script's wavefront: lanes are numbered, regardless of pixels."""
 
     lane: UInt32
     share: UInt32
@@ -120,7 +120,7 @@ class Sampler(Plugin):
         raise NotImplementedError
 
     def sample_count(self) -> int:
-        """The number of samples per pixel when `render` isn't told."""
+        """The default number of samples per pixel of `render`."""
         return self._sample_count
 
     def set_sample_count(self, spp: int) -> None:

@@ -1,4 +1,4 @@
-"""The common part of samplers that put a pixel's samples into the cells of a grid."""
+"""The base of samplers that stratify a pixel's samples over the cells of a grid."""
 
 from __future__ import annotations
 

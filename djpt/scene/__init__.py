@@ -1,1 +1,1 @@
-"""Scenes: plugins put together to what kernels read, and the queries that integrators make."""
+"""Scenes: plugins assembled into the data that kernels read, and the queries of integrators."""

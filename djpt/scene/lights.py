@@ -75,7 +75,7 @@ class BSDFs:
 
     @property
     def have_null(self) -> bool:
-        """True if a path can pass straight through a surface, as if it weren't there."""
+        """True if some surfaces let paths pass straight through (null lobes)."""
         return any(has_flag(bsdf.flags(), BSDFFlags.Null) for bsdf in self.plugins)
 
 
@@ -167,7 +167,7 @@ class Lights:
 
     @property
     def can_be_met(self) -> bool:
-        """Whether a ray can meet light by chance: not that of points, nor parallel light."""
+        """Whether rays can hit emitters: false if all are point lights or parallel light."""
         delta = EmitterFlags.DeltaPosition | EmitterFlags.DeltaDirection
         return any(not has_flag(emitter.flags(), delta) for emitter in self.ensemble.plugins)
 
@@ -180,5 +180,5 @@ class Lights:
         return EmitterPtr.into(self._family, index)
 
     def from_infinity(self, index: UInt32) -> Bool | None:
-        """True where the light of an emitter comes from infinitely far away; None if none does."""
+        """True where an emitter is infinitely far away; None if none is."""
         return self._at_infinity.contain(index) if self._from_infinity else None

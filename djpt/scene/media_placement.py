@@ -1,4 +1,4 @@
-"""Which media a scene has, which of them a ray runs through, how far light gets in them, and rays through them."""
+"""The media of a scene: which of them a ray runs through, free flights in them, and transmittance."""
 
 from __future__ import annotations
 
@@ -244,7 +244,7 @@ class Media:
         throughput: Color3f,
         stream: SampleStream,
     ) -> Flight:
-        """Sample how far light gets on a segment of a ray: see `djpt.media.base.Medium.fly`."""
+        """Sample a free flight along a segment of a ray: see `djpt.media.base.Medium.fly`."""
         from djpt.media.flight import Flight
 
         assert ray.medium is not None

@@ -98,7 +98,7 @@ class SceneQueries(Plugin):
     camera_medium: UInt32 | None
     """The number of the medium that camera rays start in; None if no media are followed."""
     outer_medium: UInt32 | None = None
-    """The number of the medium outside of all bodies, if a sensor says that there is one."""
+    """The number of the medium outside of all bodies, if a sensor has one."""
     near_clip_fraction: Float
     """The fraction of a camera ray's `maxt` between the camera and its near plane: see `Sensor.near_clip_fraction`."""
 

@@ -80,7 +80,7 @@ def collect_sensors(plugins: Iterable[Plugin]) -> list[Sensor]:
 
 
 def adopt(shape: Shape, nested: Any) -> Any:
-    """An emitter or sensor that a shape has, nested or by reference, told which shape that is."""
+    """An emitter or sensor of a shape, nested or by reference, with its shape set."""
     if not nested.on_shape:
         fitting = (name for name, plugin in registered(nested.kind).items() if getattr(plugin, "on_shape", False))
         hint = near_miss("", fitting)
@@ -370,7 +370,7 @@ def require_scene(scene: Any) -> Scene:
 
 
 def find_sensor(scene: Scene, sensor: Any) -> Sensor:
-    """The sensor to render: one of the scene, by number, or another one, which is told how large the scene is."""
+    """The sensor to render: one of the scene, by number, or another one, which takes the size of the scene."""
     require_scene(scene)
     sensors = scene.sensors()
     if not isinstance(sensor, Sensor):

@@ -73,7 +73,7 @@ class Shape(ShapeQuestions):
 
     kind: ClassVar[str] = "shape"
     sides: ClassVar[int] = 1
-    """The number of faces that `intersect` tells apart."""
+    """The number of faces that `intersect` distinguishes."""
     closed: ClassVar[bool] = False
     """Whether shapes of this class enclose a volume: see `is_closed`."""
     has_area: ClassVar[bool] = True
@@ -94,7 +94,7 @@ class Shape(ShapeQuestions):
     """The total area in world space, of shapes that have this value."""
 
     in_group: bool = False
-    """Whether the shape belongs to a `shapegroup`: it is then seen where instances put it, and nothing follows it."""
+    """Whether the shape belongs to a `shapegroup`: it is visible through instances only, and has no derivatives."""
     _axes: Any = None
     """The axes that `place` found last in the pool of its scene; None at first, and for shapes without any."""
 
@@ -294,7 +294,7 @@ class Shape(ShapeQuestions):
 
 
 GRAZING = 2**-12
-"""The least cosine that float32 knows of a ray and a curved surface."""
+"""The least cosine between a ray and a curved surface that single precision can resolve."""
 
 
 def tilted(n: Vector3f, d: Vector3f) -> Vector3f:

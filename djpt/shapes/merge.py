@@ -1,4 +1,4 @@
-"""Meshes that are put together to one."""
+"""Several meshes merged into one."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def mergeable(shape: Shape) -> bool:
 
 
 def merged(shapes: Sequence[Shape]) -> list[Shape]:
-    """The shapes, each once, in Mitsuba's order, with meshes that are alike put together."""
+    """The shapes, each once, in Mitsuba's order, with like meshes merged."""
     groups: dict[Hashable, list[Any]] = {}
     for shape in merged_last({id(shape): shape for shape in shapes}.values()):
         key = (likeness(shape), shape.flip_normals) if mergeable(shape) else id(shape)

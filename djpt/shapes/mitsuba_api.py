@@ -139,7 +139,7 @@ class ShapeQuestions(TextureAttributes, SilhouetteQuestions):
     _interior: Any = None
     _exterior: Any = None
     users: Sequence[weakref.ref[Any]] = ()
-    """The scenes that the shape stands in."""
+    """The scenes that contain the shape."""
     original: Any = None
     """The shape that this one was copied from, to be asked alone; else None."""
 
@@ -247,7 +247,7 @@ class ShapeQuestions(TextureAttributes, SilhouetteQuestions):
     def ray_intersect_preliminary(
         self, ray: Ray3f, prim_index: int = 0, active: Bool | bool = True
     ) -> PreliminaryIntersection3f:
-        """The first hit of this shape alone, of whatever primitive."""
+        """The first hit of this shape alone, on any of its primitives."""
         return self.alone().ray_intersect_preliminary(ray, active=active)
 
     def ray_test(self, ray: Ray3f, active: Bool | bool = True) -> Bool:
@@ -294,7 +294,7 @@ class ShapeQuestions(TextureAttributes, SilhouetteQuestions):
         return dr.select(active, dr.rcp(self.surface_area()), 0)  # type: ignore[attr-defined]
 
     def used_in(self, scene: Any) -> None:
-        """Note that the shape stands in a scene."""
+        """Note that a scene contains the shape."""
         self.users = [*(user for user in self.users if user() is not None), weakref.ref(scene)]
 
     # ---- a scene of its own -----------------------------------------------------------------

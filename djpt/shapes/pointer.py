@@ -170,7 +170,7 @@ class ShapePtr(Pointer[Shape]):
     def ray_intersect_preliminary(
         self, ray: Ray3f, prim_index: int = 0, active: Bool | bool = True
     ) -> PreliminaryIntersection3f:
-        """The first hit of each lane's shape, of whatever primitive."""
+        """The first hit of each lane's shape, on any of its primitives."""
         return self._asked(
             lambda shape, mine: shape.ray_intersect_preliminary(ray, prim_index, active & mine),
             PreliminaryIntersection3f,

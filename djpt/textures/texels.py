@@ -123,7 +123,7 @@ def from_object(value: Any, raw: bool) -> Pixels:
 
 
 def is_encoded(value: Any) -> bool:
-    """True if the colours of a bitmap object are encoded by the curve of sRGB: as it says, otherwise if it is bytes."""
+    """True if the colours of a bitmap object have sRGB's transfer curve: by its own flag, or else if they are bytes."""
     return bool(value.srgb_gamma()) if hasattr(value, "srgb_gamma") else as_pixels(value).dtype == np.uint8
 
 

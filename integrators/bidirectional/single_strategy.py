@@ -41,7 +41,7 @@ class LastVertex(CompactInteraction):
     vc: Float
     depth: UInt32
     covered: UInt32
-    """1 where the path has met a surface before that it didn't pass straight through."""
+    """1 where the path has hit a surface other than null interfaces before."""
 
     @staticmethod
     def at(si: SurfaceInteraction3f, subpath: Subpath, covered: Bool) -> LastVertex:
@@ -85,7 +85,7 @@ class Walk:
     left: UInt32
     """The number of vertices to come on this side."""
     covered: Bool
-    """True where the camera's path has met a surface that it didn't pass straight through."""
+    """True where the camera path has hit a surface other than null interfaces."""
     active: Bool
     complete: Bool
     """True where both sides have been walked to their last vertices."""

@@ -126,7 +126,7 @@ class Subpath:
         )
 
     def scattered(self, vertex: PathVertex, s: Scattering, throughput: Color3f, h: Heuristic) -> Subpath:
-        """The subpath that goes on from a vertex as `s` says, with the given throughput."""
+        """The subpath continued from a vertex by the scattering `s`, with the given throughput."""
         d = vertex.direction(s)
         cos = vertex.cos(d)
         delta = has_flag(s.sample.sampled_type, BSDFFlags.Delta)
@@ -226,7 +226,7 @@ class LightStep:
     weight: Float
     """The weight of `shown` against the other strategies."""
     subpath: Subpath
-    """The path that goes on."""
+    """The continued path."""
     active: Bool
     """True where it does."""
 
@@ -243,7 +243,7 @@ class CameraHit:
     emitted: Color3f | None
     """The light that media have added on the way, and that other paths have left here; None if there is neither."""
     met: Color3f
-    """The light that the path has met."""
+    """The emission that the path has hit."""
     weight: Float
     """The weight of `met` against the other strategies."""
     joins: Bool
@@ -288,7 +288,7 @@ class CompactInteraction(Record):
         return {name: getattr(si, name) for name in SURFACE}
 
     def interaction(self, scene: Scene, media: tuple[UInt32, ...] = ()) -> SurfaceInteraction3f:
-        """The surface point, with the medium of the ray that has met it, if that matters."""
+        """The surface point, with the medium of the ray that has hit it, if needed."""
         kept = {name: getattr(self, name) for name in SURFACE}
         si: SurfaceInteraction3f = SurfaceInteraction3f.holding(**kept, media=media, scene_ref={scene: ()})
         return si

@@ -57,7 +57,7 @@ class LearningIntegrator(Integrator):
     differentiable = False
 
     def trained(self, training_paths: TrainingPaths) -> Integrator:
-        """The integrator that knows the scene, and renders the image."""
+        """The trained integrator, which renders the image."""
         raise NotImplementedError
 
 

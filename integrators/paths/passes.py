@@ -76,8 +76,8 @@ class Walks(Protocol):
         """Follow `begin` <= k < `end` light paths for each pixel of the crop window.
 
         `start` gives a path that leaves a light; `vertex` processes a hit (or miss) of its ray, adds what there is to
-        add to the `sinks`, and returns the path that goes on and whether it does. Kernels write to `sinks` (any
-        PyTree of Dr.Jit arrays).
+        add to the `sinks`, and returns the path that goes on and whether it does. The flux that arrives at a vertex
+        includes absorption by media. Kernels write to `sinks` (any PyTree of Dr.Jit arrays), which are evaluated.
         """
 
 

@@ -155,7 +155,7 @@ class PathVertex:
     def _scattered_in_medium(
         self, scene: Scene, s: Scattering, d: Vector3f, sample1: Float, sample2: Point2f
     ) -> Scattering:
-        """Scattering at a vertex: as `s` says on surfaces, by the phase function in media."""
+        """Scattering at a vertex: `s` on surfaces, by the phase function in media."""
         assert self.medium_vertex is not None
         inside, mei = self.medium_vertex.inside, self._point(self.medium_vertex.wi)
         phase = scene.media.phases(self.medium_vertex.medium)
@@ -178,7 +178,7 @@ class PathVertex:
         return value, pdf, back
 
     def _point(self, wi: Vector3f) -> MediumInteraction3f:
-        """The point in the medium, for light that comes from a direction."""
+        """The point in the medium, for light arriving from a direction."""
         return MediumInteraction3f.on(Ray3f(self.si.p, -wi), Float(0), self.si.p)
 
 

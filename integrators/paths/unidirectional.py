@@ -95,7 +95,7 @@ class UnidirectionalPath(Terminating, PathIntegrator):
     def next_state(
         self, scene: Scene, state: PathState, si: SurfaceInteraction3f, bs: BSDFSample3f, throughput: Color3f
     ) -> PathState:
-        """The state of a path that leaves `si` as `bs` says."""
+        """The state of a path that leaves `si` by the BSDF sample `bs`."""
         passes = has_flag(bs.sampled_type, BSDFFlags.Null)
         return replace(
             state,
@@ -109,7 +109,7 @@ class UnidirectionalPath(Terminating, PathIntegrator):
         )
 
     def covered(self, state: PathState, si: SurfaceInteraction3f, passes: Bool) -> Bool:
-        """True where the path has met, here or before, a surface that it didn't pass straight through."""
+        """True where the path has hit, here or before, a surface other than null interfaces."""
         if state.covered is None:
             return (state.depth > 0) | si.is_valid()
         return state.covered | (si.is_valid() & ~passes)

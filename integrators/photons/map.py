@@ -69,7 +69,7 @@ FACING = 0.5
 """The least cosine of a photon's normal to the surface's: those on walls don't count for the floor below."""
 
 AT_ONCE = 4
-"""Photons that a lane looks at before it asks whether its run has ended."""
+"""Photons that a lane reads between two tests for the end of its run."""
 
 FAR = 2**30
 """The number of the last cell along an axis: it also holds everything beyond."""

@@ -43,7 +43,7 @@ NORMAL_DIGITS, EDGES_DIGITS = 8, 16
 """Binary digits of a coordinate of a photon's normal, and of its number of edges: together they make a word."""
 
 MOST_EDGES = 2**EDGES_DIGITS - 1
-"""The largest number of edges that a photon keeps; longer paths count as if they had as many."""
+"""The largest number of edges that a photon stores; longer paths are clamped to it."""
 
 MOST = 2**27
 """The most photons of a pass: their numbers are counted in 32 bits, with room for those that don't fit."""
@@ -61,7 +61,7 @@ class Photon:
     d: Vector3f
     """The direction in which it travels."""
     flux: Color3f
-    """The power that it carries, of all light paths together, as if there were no others."""
+    """The power that it would carry if it were the only light path."""
     vcm: Float = field(default_factory=lambda: Float(0))
     vc: Float = field(default_factory=lambda: Float(0))
     """Both are the light path's, for weights: see `djpt.integrators.bidirectional.subpath.End`; 0 where there are

@@ -46,7 +46,7 @@ class LightSampler:
 
 @dataclass
 class MetLight:
-    """The light of a surface, or of the sky, that a ray has met."""
+    """The emission of the surface, or of the environment, that a ray has hit."""
 
     radiance: Color3f
     """The radiance that it sends along the ray."""
@@ -61,7 +61,7 @@ class LightSample:
     ds: DirectionSample3f
     """`ds.pdf` includes the probability of choosing the emitter."""
     weight: Color3f
-    """Radiance / pdf, as if nothing stood between."""
+    """Radiance / pdf, without visibility."""
 
 
 @dataclass

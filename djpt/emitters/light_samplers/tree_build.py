@@ -59,7 +59,7 @@ class Lights:
     theta_o: Floats
     theta_e: Floats
     intensity: Floats
-    """Power over the solid angle that it goes to: at the same distance, equal intensity is equal light."""
+    """Power over the solid angle of emission: at the same distance, equal intensities give equal irradiance."""
 
     @staticmethod
     def of(bounds: Sequence[LightBounds], weights: Floats) -> Lights:

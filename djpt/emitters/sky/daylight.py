@@ -49,11 +49,11 @@ class Instant:
     sun_scale: Float
 
     def is_day(self, local: Vector3f) -> Bool:
-        """True where light comes from a direction: it is above the horizon, and so is the sun."""
+        """True where light arrives from a direction: it lies above the horizon, as does the sun."""
         return (local.z >= 0) & (self.disc.direction.z >= 0)
 
     def radiance(self, local: Vector3f, on_disc: Bool) -> Color3f:
-        """The radiance from a direction, in W m^-2 sr^-1 nm^-1; `on_disc` tells whether the sun is there."""
+        """The radiance from a direction, in W m^-2 sr^-1 nm^-1; `on_disc` is true within the sun's disc."""
         lit, cos_theta = self.is_day(local), maximum(local.z, Float(0))
         chord2 = squared_chord(self.disc.direction, local)
         sky = self.dome.radiance(cos_theta, chord2) * self.sky_scale
@@ -107,7 +107,7 @@ class Daylight(InfiniteEmitter, OrientedEmitter):
         "turbidity": Allowed(1.0, 10.0),
     }
     irradiance: Any
-    """On the host: the luminance of the light that a horizontal square metre gets."""
+    """On the host: the luminance of the irradiance of the ground."""
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)

@@ -55,7 +55,7 @@ class Job:
     pass_spp: int = 0
     """Samples per pixel of one pass; 0: as many as suit the schedule. It changes time and memory, never the image."""
     interruption: Interruption | None = None
-    """The signals that end the render; None: whatever Python makes of them."""
+    """The handling of signals that end the render; None: Python's own."""
     repeated: bool = False
     """Whether the same kernels will be launched many times, so that the time to compile them doesn't matter."""
 
@@ -146,7 +146,7 @@ class Job:
         return self._camera_ray(row * columns + column, position, offset, *self._on_lens_in_time(stream))
 
     def _on_lens_in_time(self, stream: SampleStream) -> tuple[Point2f, Float]:
-        """The place on the lens and the moment of a camera ray, as far as the sensor looks at them."""
+        """The point on the lens and the time of a camera ray, as far as the sensor uses them."""
         aperture = stream.next_2d() if self.sensor.uses_aperture else Point2f(0.5)
         # Mitsuba's order of numbers. What nothing asks for isn't computed.
         return aperture, stream.next_1d() if self.sensor.shutter_open_time() > 0 else Float(0.5)

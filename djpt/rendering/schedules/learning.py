@@ -1,4 +1,4 @@
-"""The learning schedule: paths to learn from, then the image, by whatever schedule is the fastest for it."""
+"""The learning schedule: training paths, then the image by the schedule that is fastest for it."""
 
 from __future__ import annotations
 

@@ -72,9 +72,9 @@ class Lane:
     pending: Color3f
     """The light that arrives if the shadow ray is free."""
     next_ray: Ray3f
-    """The ray on which the path goes on after the shadow ray."""
+    """The ray on which the path continues after the shadow ray."""
     active: Bool
-    """True where the path goes on."""
+    """True where the path continues."""
     valid: Bool
     """True where the sample counts as covered, if the path doesn't go on."""
     sampler: Any
@@ -111,7 +111,7 @@ def run(job: Job, lanes: TiledLanes, write: Write) -> UInt32:
     )
 
     def advance(lane: Lane) -> Lane:
-        """Do what comes after a ray: a vertex, the light of a free shadow ray, or the next sample."""
+        """Process the end of a ray: a vertex, the light of an unoccluded shadow ray, or the next sample."""
         shadow = lane.shadow
         ray, hit = geometry.end(lane.query)
         ray.medium = lane.medium

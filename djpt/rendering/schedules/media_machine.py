@@ -86,9 +86,9 @@ class Lane:
     pending: Color3f
     """The light that arrives if nothing takes any from now on."""
     next_ray: Ray3f
-    """The ray on which the path goes on after the shadow ray."""
+    """The ray on which the path continues after the shadow ray."""
     active: Bool
-    """True where the path goes on."""
+    """True where the path continues."""
     valid: Bool
     """True where the sample counts as covered, if the path doesn't go on."""
     path: Any
@@ -142,7 +142,7 @@ class Walk:
         )
 
     def _turn(self, lane: Lane) -> tuple[Lane]:
-        """Make some steps, and then what comes next where a ray has come to its end."""
+        """Make some tracking steps, and process the rays that have ended."""
         if self._scene.media:
             (track,) = if_stmt(
                 (lane.track,), lane.track.active, lambda track: (self._tracked(lane, track),), lambda track: (track,)
@@ -156,7 +156,7 @@ class Walk:
         return self._trackers.advance(track, ray, length, lane.end, lane.shadow, lane.path.throughput, STEPS)
 
     def _advance(self, lane: Lane) -> Lane:
-        """Do what comes after a ray: a vertex, a null surface, or the light of a shadow ray; then the next ray."""
+        """Process the end of a ray: a vertex, a null surface, or the light of a shadow ray; then begin the next ray."""
         scene, integrator, job, lanes = self._scene, self._integrator, self._job, self._lanes
         shadow, ray, path = lane.shadow, lane.ray, lane.path
         stream = lane.track.stream.clone()

@@ -1,4 +1,4 @@
-"""The schedule of photons: passes that trace light paths first, and then samples that look at what they have left."""
+"""The schedule of photon mapping: each pass traces light paths, and then samples that gather their photons."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ MOST_COUNTED = 2**24
 """Photons of light paths with more edges aren't counted."""
 
 TOLERANCE = 1.25
-"""A number of photons that is so many times the wanted one is near enough."""
+"""The largest acceptable ratio of the number of photons to the wanted one."""
 
 
 @dataclass

@@ -8,10 +8,10 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.core.records import Ray3f, SurfaceInteraction3f
+from djpt.core.records import SurfaceInteraction3f
 from djpt.integrators.paths.passes import LightPath, PassIntegrator
 from djpt.jit.kernels import while_loop, wide
-from djpt.jit.types import Bool, Point2f, TensorXf, UInt32
+from djpt.jit.types import Bool, TensorXf, UInt32
 from djpt.rendering.schedules.base import Schedule
 from djpt.rendering.schedules.job import Job
 from djpt.rendering.schedules.passes import Pace, ends_here, one_ahead, report
@@ -19,7 +19,7 @@ from djpt.rendering.schedules.reconstruction import picture
 from djpt.rendering.schedules.wave import Wave
 from djpt.samplers import SampleStream
 
-__all__ = ["Lane", "Progressive", "follow", "lanes", "walk_light"]
+__all__ = ["Lane", "Progressive", "follow", "lanes"]
 
 LANES = 2**16
 
@@ -68,37 +68,6 @@ def follow(
     dr.eval(done.number, sinks)
 
 
-def walk_light(
-    job: Job,
-    start: Callable[[SampleStream], LightPath],
-    vertex: Callable[[SampleStream, LightPath, SurfaceInteraction3f], tuple[LightPath, Bool]],
-    sinks: Any,
-    begin: int,
-    end: int,
-) -> None:
-    """Follow `begin` <= k < `end` light paths for each pixel of the crop window.
-
-    `start` gives a path that leaves a light; `vertex` processes a hit (or miss) of its ray, adds what there is to
-    add to the `sinks`, and returns the path that goes on and whether it does. Absorption by media is included in the
-    flux that arrives at a vertex. Kernels write to `sinks` (any PyTree of Dr.Jit arrays), which are evaluated.
-    """
-    scene = job.scene
-    width, height = job.film.crop_size()
-
-    def fresh(number: UInt32) -> tuple[SampleStream, LightPath]:
-        sampler = job.stream(number // job.spp_value, number % job.spp_value)
-        return sampler, start(sampler)
-
-    def step(lane: Lane) -> tuple[LightPath, Bool]:
-        ray = lane.path.ray
-        si = scene.surface_interaction(ray, scene.closest_hit(ray), scene.surface_detail)
-        arriving = replace(lane.path, flux=lane.path.flux * scene.media.transmittance(ray, si.t))
-        return vertex(lane.sampler, arriving, si)
-
-    begin, end = begin * width * height, end * width * height
-    follow(lanes(end - begin) + dr.opaque(UInt32, begin), end, fresh, step, sinks, "light")
-
-
 PASS_PATHS = 2**24
 """The number of paths of one pass: about a second on two cores."""
 
@@ -136,11 +105,7 @@ class JobWalks:
     def __init__(self, job: Job) -> None:
         self._job = job
         self.scene, self.camera, self.film, self.spp = job.scene, job.camera, job.film, job.spp
-        self.seed = job.seed_value
-
-    def ray_at(self, place: Point2f, stream: SampleStream) -> Ray3f:
-        """A camera ray through a place in [0, 1)^2 on the crop window, by the next numbers of a stream."""
-        return self._job.ray_at(place, stream)
+        self.seed, self.ray_at = job.seed_value, job.ray_at
 
     def light(
         self,
@@ -150,5 +115,19 @@ class JobWalks:
         begin: int,
         end: int,
     ) -> None:
-        """Follow `begin` <= k < `end` light paths per pixel: see `djpt.rendering.schedules.progressive.walk_light`."""
-        walk_light(self._job, start, vertex, sinks, begin, end)
+        """Follow `begin` <= k < `end` light paths for each pixel of the crop window, see `Walks.light`."""
+        job, scene = self._job, self.scene
+        width, height = job.film.crop_size()
+
+        def fresh(number: UInt32) -> tuple[SampleStream, LightPath]:
+            sampler = job.stream(number // job.spp_value, number % job.spp_value)
+            return sampler, start(sampler)
+
+        def step(lane: Lane) -> tuple[LightPath, Bool]:
+            ray = lane.path.ray
+            si = scene.surface_interaction(ray, scene.closest_hit(ray), scene.surface_detail)
+            arriving = replace(lane.path, flux=lane.path.flux * scene.media.transmittance(ray, si.t))
+            return vertex(lane.sampler, arriving, si)
+
+        begin, end = begin * width * height, end * width * height
+        follow(lanes(end - begin) + dr.opaque(UInt32, begin), end, fresh, step, sinks, "light")

@@ -21,7 +21,7 @@ from djpt.volumes.base import Volume
 __all__ = ["PluginCopies", "rescaled"]
 
 OWN = ("shape", "emitter", "sensor")
-"""Kinds of plugins that a scene tells how large it is: they can't be shared with a scene in another frame."""
+"""Kinds of plugins that depend on the size of their scene: scenes in different frames can't share them."""
 
 
 class PluginCopies:

@@ -65,7 +65,7 @@ def build(low: NDArray[np.float32], high: NDArray[np.float32], method: Method = 
 
 
 def build_compiled(low: NDArray[np.float32], high: NDArray[np.float32]) -> BinaryTree:
-    """Split every node where the surface area heuristic says, by compiled functions."""
+    """Split nodes by the surface area heuristic, with compiled functions."""
     nodes = binary_nodes(np.concatenate([low, high], axis=1))
     words = nodes.view(np.uint32)
     first, inner = (words[:, 3] - np.uint32(BIAS)).view(np.int32), words[:, 7] >= BIAS + INNER

@@ -91,7 +91,7 @@ def functions() -> Functions:
 
 @cache
 def can_compile() -> bool:
-    """Whether the functions can be compiled on this machine: LLVM may be missing, or what Dr.Jit says about it."""
+    """Whether the functions can be compiled on this machine: LLVM, or Dr.Jit's description of it, may be missing."""
     try:
         functions()
     except (CompilationError, OSError, AttributeError):
