@@ -328,3 +328,19 @@ def test_what_is_read_from_rows_is_what_follows_from_corners(tmp_path: Path, ins
 )
 def test_scenes_compute_what_their_materials_read(bsdf: dict[str, Any], read: SurfaceDetail) -> None:
     assert djpt.load_dict({"type": "scene", "ball": {"type": "sphere", "bsdf": bsdf}}).surface_detail is read
+
+
+def test_points_are_drawn_on_meshes_larger_than_the_lights() -> None:
+    """Searches for a face take as many steps as lights need, unless a script asks another mesh."""
+    sheet = bumpy_sheet()
+    sample = Point2f(np.random.default_rng(4).random((2, 1000)).astype(np.float32))
+    alone = djpt.Mesh("alone", sheet["positions"], sheet["faces"])
+    MeshSet([alone])
+    lamp = djpt.load_dict({"type": "rectangle", "emitter": {"type": "area", "radiance": 1.0}})
+    lit = djpt.Mesh("lit", *triangle(), props={"emitter": lamp.emitter()})
+    other = djpt.Mesh("other", sheet["positions"], sheet["faces"])
+    both = MeshSet([lit, other])
+    assert both.areas.steps == (1, len(sheet["faces"]).bit_length())
+    np.testing.assert_array_equal(
+        np.array(other.sample_position(0, sample).p), np.array(alone.sample_position(0, sample).p)
+    )

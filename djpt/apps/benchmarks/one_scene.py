@@ -24,7 +24,7 @@ from djpt.scenes.overrides import described
 
 __all__ = ["Options", "main"]
 
-LOADS = 3
+LOADS = 2
 """How many times a scene is loaded by each renderer, at most."""
 
 PATIENCE = 10.0

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from djpt.core.frame import Frame3f, coordinate_system
 from djpt.errors import SceneError, near_miss
-from djpt.jit.kernels import float_in, own_copy
+from djpt.jit.kernels import float_in, if_stmt, own_copy
 from djpt.jit.types import ArrayXu, Bool, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.shapes.base import Surface
 
@@ -54,7 +54,7 @@ class MeshSet:
     def __init__(self, meshes: Sequence[Mesh]) -> None:
         self.meshes = tuple(meshes)
         self._areas: AreaTable | None = None
-        self._steps = 0
+        self._steps = (0, 0)
         self._topology: list[Topology] = []
         self._tabulate()
 
@@ -349,13 +349,16 @@ def load_vector(table: UInt32, row: UInt32, active: Bool | bool = True) -> Vecto
 class AreaTable:
     """The running sums of the areas of faces, for one mesh after the other."""
 
-    def __init__(self, meshes: Sequence[Mesh], least_steps: int = 0) -> None:
-        """Build the table; `least_steps` is the number of steps before an edit, lest fewer faces need a new kernel."""
+    def __init__(self, meshes: Sequence[Mesh], least_steps: tuple[int, int] = (0, 0)) -> None:
+        """Build the table; `least_steps` are the `steps` before an edit, lest fewer faces need a new kernel."""
         sums = [np.cumsum(mesh.face_areas()).astype(np.float32) for mesh in meshes]
         self._sums = Float(np.concatenate(sums)) if sums else Float(1)
         # Unevaluated arithmetic would make its inputs a part of kernels.
         dr.make_opaque(self._sums)
-        self.steps = max(least_steps, max((len(part) for part in sums), default=1).bit_length())
+        counts = [len(part) for part in sums] or [1]
+        lit = [count for mesh, count in zip(meshes, counts, strict=False) if mesh.emitter() is not None] or counts
+        self.steps = max(least_steps[0], max(lit).bit_length()), max(least_steps[1], max(counts).bit_length())
+        """The steps of a search among the faces of a light, and among those of any mesh."""
 
     def sample(self, first: UInt32, count: UInt32, total: Float, sample: Float) -> tuple[UInt32, Float]:
         """Choose a face with a probability proportional to its area, and stretch the sample for use within it.
@@ -370,14 +373,25 @@ class AreaTable:
             The number of the face in the mesh, and the stretched sample, uniform in [0, 1) again as in Mitsuba.
         """
         wanted = sample * total
-        # The number of faces whose sum lies below, by halving steps; a face without area is never chosen.
+
+        def halved(below: UInt32, steps: range) -> UInt32:
+            """The number of faces whose sum lies below, by halving steps; a face without area is never chosen."""
+            for k in reversed(steps):
+                probe = below + (1 << k)
+                inside = probe < count
+                value = dr.gather(Float, self._sums, first + probe - 1, inside)
+                further = inside & ((value < wanted) | (value == 0)) & (value != total)
+                below = dr.select(further, probe, below)
+            return below
+
+        of_lights, of_all = self.steps
         below = UInt32(0)
-        for k in reversed(range(self.steps)):
-            probe = below + (1 << k)
-            inside = probe < count
-            value = dr.gather(Float, self._sums, first + probe - 1, inside)
-            further = inside & ((value < wanted) | (value == 0)) & (value != total)
-            below = dr.select(further, probe, below)
+        if of_all > of_lights:  # only scripts draw points of other meshes
+            large, more = count > (1 << of_lights), range(of_lights, of_all)
+            (below,) = if_stmt(
+                (below,), large, lambda below: (halved(below, more),), lambda below: (below,), label="large meshes"
+            )
+        below = halved(below, range(of_lights))
         before = dr.gather(Float, self._sums, first + below - 1, below > 0)
         after = dr.gather(Float, self._sums, first + below)
         return below, (wanted - before) * dr.rcp(after - before)
