@@ -285,29 +285,20 @@ def sheet(
         progress: Called with (samples done, samples in all).
         begin: Called before each panel, with a line that says which one it is.
     """
-    from djpt.images.sheets import Tile, captioned_sheet
-
-    tiles = []
-    for i, panel in enumerate(panels):
-        if begin is not None:
-            begin(f"{i + 1} of {len(panels)}: {panel.title}, {panel.subtitle}")
-        picture = render_panel(panel, size, spp, seed, i, len(panels), progress)
-        tiles.append(Tile(panel.title, panel.subtitle, picture))
-    return captioned_sheet(tiles, columns)
-
-
-def render_panel(
-    panel: Labelled, size: int, spp: int, seed: int, number: int, count: int, progress: Progress | None
-) -> NDArray[np.uint8]:
-    """Render one picture as bytes of sRGB."""
     from djpt.description.loader import load_dict
-    from djpt.images.sheets import shown
+    from djpt.images.sheets import Tile, captioned_sheet, shown
     from djpt.rendering.render import render
 
+    tiles: list[Tile] = []
     each = size * size * spp
 
     def show(done: int, total: int) -> None:
         if progress is not None:
-            progress(number * each + each * done // total, count * each)
+            progress(len(tiles) * each + each * done // total, len(panels) * each)
 
-    return shown(render(load_dict(panel.scene(size)), spp=spp, seed=seed, progress=show))
+    for i, panel in enumerate(panels):
+        if begin is not None:
+            begin(f"{i + 1} of {len(panels)}: {panel.title}, {panel.subtitle}")
+        image = render(load_dict(panel.scene(size)), spp=spp, seed=seed, progress=show)
+        tiles.append(Tile(panel.title, panel.subtitle, shown(image)))
+    return captioned_sheet(tiles, columns)

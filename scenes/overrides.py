@@ -22,7 +22,7 @@ SENSORS = frozenset(
 """The types of nodes that hold a film."""
 
 WIDTH, HEIGHT = 768, 576
-"""The pixels of a film that doesn't say how many it has."""
+"""The default size of a film in pixels."""
 
 METERS = frozenset({"radiancemeter", "irradiancemeter", "distant"})
 """The types of sensors that measure numbers and take no pictures."""
@@ -50,7 +50,7 @@ OTHER_FILES = {
     "a file of Blender, which Mitsuba's add-on exports as XML,": frozenset({".blend"}),
     "a checkpoint, which 'djpt merge' reads,": frozenset({".djpt"}),
 }
-"""What files with these extensions are that somebody may take for a scene."""
+"""The kinds of other files that may be mistaken for scenes, with their extensions."""
 
 COMMON = ("max_depth", "rr_depth", "hide_emitters")
 
@@ -91,7 +91,7 @@ def described(
 
 
 def not_a_scene(name: str) -> str:
-    """What a name is that is neither a built-in scene nor an XML file, as far as it tells."""
+    """The message about a name that is neither a built-in scene nor an XML file."""
     suffix = os.path.splitext(name)[1].lower()
     for kind, suffixes in OTHER_FILES.items():
         if suffix in suffixes:

@@ -50,10 +50,7 @@ def mitsuba_renderer(scene: Mapping[str, Any], optimize: bool = True) -> Rendere
         ComparisonError: Mitsuba refuses the scene.
     """
     with _variant() as mi:
-        try:
-            loaded = mi.load_dict(to_mitsuba(scene), optimize=optimize)
-        except (RuntimeError, TypeError, ValueError) as error:
-            raise ComparisonError(f"Mitsuba can't load the scene: {error}") from error
+        loaded = _loaded(mi, scene, optimize)
 
     def render(spp: int, seed: int) -> npt.NDArray[np.float32]:
         with _variant() as mi:
@@ -71,11 +68,14 @@ def mitsuba_scene(scene: Mapping[str, Any] | None) -> Iterator[tuple[Any, Any]]:
         ComparisonError: Mitsuba refuses the scene.
     """
     with _variant() as mi:
-        try:
-            loaded = None if scene is None else mi.load_dict(to_mitsuba(scene), optimize=False)
-        except (RuntimeError, TypeError, ValueError) as error:
-            raise ComparisonError(f"Mitsuba can't load the scene: {error}") from error
-        yield mi, loaded
+        yield mi, None if scene is None else _loaded(mi, scene, optimize=False)
+
+
+def _loaded(mi: Any, scene: Mapping[str, Any], optimize: bool) -> Any:
+    try:
+        return mi.load_dict(to_mitsuba(scene), optimize=optimize)
+    except (RuntimeError, TypeError, ValueError) as error:
+        raise ComparisonError(f"Mitsuba can't load the scene: {error}") from error
 
 
 def to_mitsuba(scene: Mapping[str, Any]) -> dict[str, Any]:

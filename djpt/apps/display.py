@@ -1,4 +1,4 @@
-"""Results in notebooks: images below the cell, also of a render while it gets better."""
+"""Results in notebooks: images below the cell, also those of a render in progress."""
 
 from __future__ import annotations
 

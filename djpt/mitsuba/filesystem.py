@@ -1,7 +1,6 @@
 """Paths of files as Mitsuba has them; `pathlib` does the same, and every function of djpt takes either.
 
-Numbers and booleans tell what happened: unlike Python's functions these raise only where a size is asked for that
-isn't known.
+Functions return whether they succeeded, where Python's raise; only `file_size` raises.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ __all__ = [
 ]
 
 preferred_separator = os.sep
-"""What stands between the parts of a path."""
+"""The separator between the parts of a path."""
 
 
 class path(os.PathLike[str]):
@@ -123,7 +122,7 @@ class path(os.PathLike[str]):
 
 
 def current_path() -> path:
-    """The folder in which the program runs."""
+    """The working directory."""
     return path(os.getcwd())
 
 

@@ -32,7 +32,7 @@ __all__ = [
 
 
 class LogLevel(enum.IntEnum):
-    """How much a message matters; the numbers are Mitsuba's."""
+    """The severity of a message; the numbers are Mitsuba's."""
 
     Trace = 0
     Debug = 100
@@ -42,17 +42,17 @@ class LogLevel(enum.IntEnum):
 
 
 class Formatter:
-    """Makes the line of a message; scripts override `format`."""
+    """The base class of formatters, which turn messages into lines; scripts override `format`."""
 
     def format(self, level: LogLevel, cname: str | None, fname: str, line: int, msg: str) -> str:
         """The text of a message.
 
         Args:
-            level: how much it matters.
-            cname: the class that it comes from, if any.
-            fname: the file that it comes from.
-            line: the line of that file.
-            msg: the message.
+            level: its severity.
+            cname: the class that issued it, if any.
+            fname: the file that issued it.
+            line: the line in that file.
+            msg: its text.
         """
         raise NotImplementedError(f"{type(self).__name__}.format")
 
@@ -76,18 +76,18 @@ class DefaultFormatter(Formatter):
 
 
 class Appender:
-    """Where messages go; scripts override `append`."""
+    """The base class of destinations of messages; scripts override `append`."""
 
     def append(self, level: LogLevel, text: str) -> None:
-        """Take a message."""
+        """Receive a message."""
         raise NotImplementedError(f"{type(self).__name__}.append")
 
     def log_progress(self, progress: float, name: str, formatted: str, eta: str, ptr: object = None) -> None:
-        """Take the progress of `name`, a share of 1; does nothing unless overridden."""
+        """Receive the progress of `name`, from 0 to 1; does nothing unless overridden."""
 
 
 class StreamAppender(Appender):
-    """Messages go to a file, or to stderr if there is no name.
+    """A destination in a file, or in stderr if no name is given.
 
     Raises:
         OSError: the file can't be written.
@@ -99,14 +99,14 @@ class StreamAppender(Appender):
             self._file.write_text("")
 
     def logs_to_file(self) -> bool:
-        """Whether messages go to a file."""
+        """Whether the destination is a file."""
         return self._file is not None
 
     def read_log(self) -> str:
-        """What the file holds.
+        """The contents of the file.
 
         Raises:
-            DjptError: messages go to stderr.
+            DjptError: the destination is stderr.
         """
         if self._file is None:
             raise DjptError("StreamAppender.read_log: these messages aren't kept: they go to stderr")
@@ -122,44 +122,44 @@ class StreamAppender(Appender):
 
 
 class Logger:
-    """Hands messages of at least its level to its appenders; those of its error level become errors."""
+    """Passes messages from its level on to its appenders; those from its error level on become errors."""
 
     def __init__(self, level: LogLevel = LogLevel.Warn, /) -> None:
         self._level, self._error_level = level, LogLevel.Error
         self._formatter: Formatter = DefaultFormatter()
         self._appenders: list[Appender] = []
 
-    log_level, set_log_level = accessors("_level", "The least level that is shown.", LogLevel)
+    log_level, set_log_level = accessors("_level", "The lowest level that is shown.", LogLevel)
     error_level, set_error_level = accessors("_error_level", "The level from which messages are errors.", LogLevel)
-    formatter, set_formatter = accessors("_formatter", "What makes the lines.", lambda formatter: formatter)
+    formatter, set_formatter = accessors("_formatter", "The formatter of the lines.", lambda formatter: formatter)
 
     def add_appender(self, appender: Appender, /) -> None:
-        """Send messages to one more place."""
+        """Add a destination."""
         self._appenders.append(appender)
 
     def remove_appender(self, appender: Appender, /) -> None:
-        """Send no more messages to a place."""
+        """Remove a destination."""
         self._appenders.remove(appender)
 
     def clear_appenders(self) -> None:
-        """Send messages nowhere."""
+        """Remove all destinations."""
         self._appenders.clear()
 
     def appender_count(self) -> int:
-        """To how many places messages go."""
+        """The number of destinations."""
         return len(self._appenders)
 
     def appender(self, index: int, /) -> Appender:
-        """One of the places."""
+        """One of the destinations, by its number."""
         return self._appenders[index]
 
     def log_progress(self, progress: float, name: str, formatted: str, eta: str, ptr: object = None) -> None:
-        """Tell all appenders the progress of `name`."""
+        """Report the progress of `name` to all appenders."""
         for appender in self._appenders:
             appender.log_progress(progress, name, formatted, eta, ptr)
 
     def read_log(self) -> str:
-        """What the first appender with a file has written.
+        """The log of the first appender that writes to a file.
 
         Raises:
             DjptError: there is none.
@@ -170,7 +170,7 @@ class Logger:
         raise DjptError("Logger.read_log: no appender writes to a file")
 
     def log(self, level: LogLevel, msg: str, cname: str | None = None, fname: str = "", line: int = 0) -> None:
-        """Take a message: see `Log`."""
+        """Log a message: see `Log`."""
         if level >= self._error_level:
             raise DjptError(f"[{Path(fname).name}:{line}] {msg}")
         if level >= self._level:
@@ -190,23 +190,23 @@ def logger() -> Logger:
 
 
 def set_logger(logger: Logger) -> None:
-    """Let another logger take the messages of this process."""
+    """Replace the logger of this process."""
     global _logger
     _logger = logger
 
 
 def log_level() -> LogLevel:
-    """The least level that is shown."""
+    """The lowest level that is shown."""
     return _logger.log_level()
 
 
 def set_log_level(level: LogLevel, /) -> None:
-    """Show messages from `level` on."""
+    """Set the lowest level that is shown."""
     _logger.set_log_level(level)
 
 
 def Log(level: LogLevel, msg: str) -> None:
-    """Write a message to the log, with the function that calls.
+    """Log a message, with the name of the calling function.
 
     Raises:
         DjptError: the level is `LogLevel.Error`.

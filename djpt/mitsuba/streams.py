@@ -1,4 +1,4 @@
-"""Files of bytes as scripts know them: streams with numbers and strings, and files that are mapped into memory.
+"""Mitsuba's binary streams, which read and write numbers and strings, and its memory-mapped files.
 
 Streams are Python's binary files, too: `djpt.Bitmap`, `Mesh.write_ply` and Python's own functions take them.
 """
@@ -90,11 +90,11 @@ class Stream(Plugin):
         return self._file
 
     def close(self) -> None:
-        """End the use of the stream; a second call does nothing."""
+        """Close the stream; a second call does nothing."""
         self._file.close()
 
     def flush(self) -> None:
-        """Write out what is held back."""
+        """Write buffered data to the file."""
         self.file.flush()
 
     def can_read(self) -> bool:
@@ -127,7 +127,7 @@ class Stream(Plugin):
         self.seek(arg, os.SEEK_CUR)
 
     def truncate(self, arg: int, /) -> None:
-        """Cut the stream to a size, or fill it up with zeros; a position beyond the end moves there."""
+        """Truncate the stream to a size, or extend it with zeros; a position beyond the end moves to the end."""
         self._require(self.can_write(), "written")
         place = min(self.tell(), arg)
         missing = arg - self.size()

@@ -77,7 +77,7 @@ def viewed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Viewed]:
     file = folder / "scene.xml"
     file.write_text(SCENE)
     with Server() as server, browsing(folder / "profile") as page:
-        session = Session(lambda: described(str(file))[1], 0, 16, 0, server.publish, server.tell)
+        session = Session(lambda: described(str(file))[1], 0, 16, 0, server.publish, server.publish)
         page.open(server.url)
         result = Viewed(page, server, session, file)
         result.until_done()

@@ -127,7 +127,7 @@ def test_messages_and_frames() -> None:
             assert "do" in server.inbox.get(timeout=10), text[:20]
         page.send(b"\xff\xfe\x00")
         assert "do" in server.inbox.get(timeout=10)
-        server.tell({"error": "none"})
+        server.publish({"error": "none"})
         assert json.loads(page.recv(timeout=10)) == {"error": "none"}
         server.publish(b"frame")
         assert page.recv(timeout=10) == b"frame"
@@ -160,8 +160,8 @@ def deaf_page_of(server: Server) -> Iterator[socket.socket]:
 def test_what_a_page_hasnt_read_is_bounded() -> None:
     with Server() as server, deaf_page_of(server):
         for number in range(1000):
-            server.tell({"error": f"{number}"})
-            server.tell({"layers": [], "number": number})
+            server.publish({"error": f"{number}"})
+            server.publish({"layers": [], "number": number})
             server.publish(bytes(1 << 16))
         (outbox,) = server._outboxes
         assert outbox.take() == ['{"error": "999"}', '{"layers": [], "number": 999}', bytes(1 << 16)]

@@ -38,7 +38,7 @@ def command(spp: int, seed: int, sensor: int, port: int, host: str, opens: bool,
 
     require_positive(spp=spp)
     with Server(port, host) as server:
-        session = Session(lambda: described_scene(**chosen)[1], sensor, spp, seed, server.publish, server.tell)
+        session = Session(lambda: described_scene(**chosen)[1], sensor, spp, seed, server.publish, server.publish)
         if not quiet:
             print(f"{server.url} shows {visible(chosen['scene'])}; press Ctrl-C to stop", flush=True)
         if opens:

@@ -165,21 +165,8 @@ class Server:
         leaving.join(GRACE)
         self._thread.join(GRACE)
 
-    @property
-    def has_pages(self) -> bool:
-        """True if a page is connected."""
-        with self._lock:
-            return bool(self._outboxes)
-
-    def publish(self, frame: bytes) -> None:
-        """Send a frame to all pages, unless a newer one overtakes it."""
-        self._send(frame)
-
-    def tell(self, message: dict[str, Any]) -> None:
-        """Send a message to all pages."""
-        self._send(message)
-
-    def _send(self, item: Mapping[str, Any] | bytes) -> None:
+    def publish(self, item: Mapping[str, Any] | bytes) -> None:
+        """Send a message or a frame to all pages; a newer one of its kind may overtake it."""
         with self._lock:
             for outbox in self._outboxes:
                 outbox.put(item)

@@ -106,10 +106,6 @@ class Stage:
         (x, y), (width, height) = self.sensor.film().crop_offset(), self.sensor.film().crop_size()
         return int(x), int(y), int(width), int(height)
 
-    def controls(self) -> list[dict[str, Any]]:
-        """The parameters that the page shows: see `djpt.apps.viewer.controls.controls`."""
-        return controls(self.params)
-
     # ---- what changes it ---------------------------------------------------------------------
 
     def show(self, layer: Any) -> None:
@@ -118,10 +114,6 @@ class Stage:
             name = str(layer)[:40]
             raise RenderError(f"unknown layer '{name}'{near_miss(name, LAYERS)}")
         self.layer = layer
-
-    def change(self, key: Any, numbers: Any) -> None:
-        """Set a parameter to another value."""
-        changed(self.params, key, numbers)
 
     def crop(self, x: int, y: int, width: int, height: int) -> None:
         """Render only a window, clipped to the film; the whole film if the window is empty."""
@@ -148,10 +140,6 @@ class Stage:
         factor = min(max(factor, 0.25), 4.0)
         orthographic = isinstance(self.sensor, Orthographic)
         self.hold(self.camera.scaled(factor) if orthographic else self.camera.approached(factor))
-
-    def return_home(self) -> None:
-        """Reset the camera to its placement in the scene."""
-        self.hold(self.home)
 
     def hold(self, camera: OrbitCamera) -> None:
         """Put the camera somewhere.
@@ -409,7 +397,7 @@ class Session:
             "layers": list(LAYERS),
             "layer": self.stage.layer,
             "size": self.stage.size,
-            "controls": self.stage.controls(),
+            "controls": controls(self.stage.params),
             "tone": TONE,
             "paused": self._paused,
             "problem": self._problem or self._failure,
@@ -420,9 +408,9 @@ CHANGES: dict[str, Callable[[Stage, Mapping[str, Any]], None]] = {
     "turn": lambda stage, m: stage.turn(number(m, "yaw"), number(m, "pitch")),
     "shift": lambda stage, m: stage.shift(number(m, "right"), number(m, "up")),
     "approach": lambda stage, m: stage.approach(number(m, "factor")),
-    "home": lambda stage, m: stage.return_home(),
+    "home": lambda stage, m: stage.hold(stage.home),
     "crop": lambda stage, m: stage.crop(*(whole_number(m, name) for name in ("x", "y", "width", "height"))),
-    "set": lambda stage, m: stage.change(m.get("key"), m.get("value")),
+    "set": lambda stage, m: changed(stage.params, m.get("key"), m.get("value")),
     "show": lambda stage, m: stage.show(m.get("layer")),
 }
 """The messages that change the view, and the methods that handle them."""

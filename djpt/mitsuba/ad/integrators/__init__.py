@@ -1,4 +1,4 @@
-"""The place where scripts look for differentiable integrators, to use or to derive from."""
+"""The modules of differentiable integrators under Mitsuba's paths, for scripts to use or to derive from."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Mitsuba's place of the base classes of differentiable integrators, and of what they compute with."""
+"""Mitsuba's module of base classes of differentiable integrators, and of functions that these use."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Mitsuba's place of `BasicPRBIntegrator`."""
+"""Mitsuba's module of `BasicPRBIntegrator`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Mitsuba's place of what feeds an optimisation with some of its pixels at a time."""
+"""Mitsuba's package of loaders, which give an optimisation batches of pixels."""
 
 from __future__ import annotations
 
