@@ -102,6 +102,47 @@ def test_growing_curvature_is_noticed() -> None:
     assert optimizer.growth() > 1.5
 
 
+@pytest.mark.parametrize("entries", [12, 40])
+@pytest.mark.parametrize("bent", [False, True])
+def test_derivatives_of_different_signs_never_diverge(entries: int, bent: bool) -> None:
+    matrix = np.random.default_rng(entries).normal(0, 1, (60, entries))
+    truth = np.random.default_rng(5).normal(0, 1, entries)
+
+    def values(x: Any) -> Any:
+        return 2 * dr.sin(product(matrix, x) / 2) if bent else product(matrix, x)
+
+    wanted = dr.detach(values(djpt.Float(truth.astype(np.float32))))
+    optimizer = GaussNewton(params={"x": djpt.Float([0.0] * entries)})
+    optimizer.measure(lambda x: values(x["x"]) - wanted)
+    losses = []
+    for _ in range(60):
+        loss = dr.mean(dr.square(values(optimizer["x"]) - wanted))
+        dr.backward(loss)
+        optimizer.step(loss)
+        losses.append(float(loss[0]))
+    lowest = np.minimum.accumulate(losses)
+    assert np.all(np.isfinite(losses)) and lowest[-1] < 0.4 * losses[0] and losses[-1] < 4 * lowest[-1]
+
+
+def test_a_step_that_raised_the_loss_is_taken_back() -> None:
+    optimizer = GaussNewton(1.0, {"x": djpt.Float(1.0)}, momentum=0.0)
+    optimizer.measure(lambda x: x["x"])
+
+    def step(loss: Any) -> float:
+        dr.backward(loss)
+        optimizer.step(loss)
+        return float(optimizer["x"].numpy().item())
+
+    # Steps are made for a curvature of 2, and it is 20.
+    away = step(10 * dr.square(optimizer["x"]))
+    assert away < -5
+    back = step(10 * dr.square(optimizer["x"]))
+    assert abs(back) < 1 and optimizer.damping >= 4
+    assert abs(step(10 * dr.square(optimizer["x"]))) < abs(back)
+    before = optimizer.damping
+    assert np.isfinite(step(optimizer["x"] * np.nan)) and optimizer.damping > before
+
+
 def test_messages_of_the_optimizer() -> None:
     with pytest.raises(RenderError, match="'momentum' must be in"):
         GaussNewton(momentum=1.0)

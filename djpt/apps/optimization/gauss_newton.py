@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from djpt.errors import RenderError
 
-__all__ = ["RATE", "Curvatures", "GaussNewton", "majorant"]
+__all__ = ["RATE", "RISEN", "Curvatures", "GaussNewton", "majorant"]
 
 Doubles = npt.NDArray[np.float64]
 Residual = Callable[[Mapping[str, Any]], Any]
@@ -27,6 +27,18 @@ MOMENTUM = 0.3
 DAMPING = 1e-2
 """The share of a parameter's largest curvature that is added to all: entries of little effect take small steps."""
 
+FEW = 16
+"""The number of entries up to which a variable's derivatives are computed entry by entry if their signs differ."""
+
+RISEN = 2.0
+"""The ratio of a loss to the lowest one above which the last step is taken back."""
+
+LESS = 4.0
+"""The factor by which a step that is repeated is shorter; up to its cube if the gradient has changed as much."""
+
+SLOW = 0.25
+"""The growth of the gradient below which steps may be longer again."""
+
 
 class GaussNewton(drjit.opt.Optimizer[tuple[Any, Any, Any]]):
     """Descent x' = x - rate g / D + momentum (x - x_before), with a diagonal D that bounds the curvature.
@@ -36,6 +48,10 @@ class GaussNewton(drjit.opt.Optimizer[tuple[Any, Any, Any]]):
     therefore, and steps of rate 1 never raise a quadratic loss: D is that of a separable surrogate (De Pierro, "A
     Modified Expectation Maximization Algorithm for Penalized Likelihood Estimation in Emission Tomography", IEEE
     Transactions on Medical Imaging 14, 1995). Momentum makes up for what a diagonal can't represent (Polyak 1964).
+
+    The loss of a scene isn't quadratic, and of many variables whose derivatives differ in sign D is only an estimate.
+    So steps are checked by the losses at their ends: one that has raised the loss beyond noise is taken back, and
+    repeated from where it started with a larger D (Levenberg 1944, Marquardt 1963).
 
     It has the methods of the optimisers of `drjit.opt`, and one more, `measure`::
 
@@ -49,8 +65,9 @@ class GaussNewton(drjit.opt.Optimizer[tuple[Any, Any, Any]]):
         for i in range(8):
             params.update(optimizer)
             image = djpt.render(scene, params, spp=8, seed=i + 1)
-            dr.backward(dr.mean(dr.square(image - target), axis=None))
-            optimizer.step()
+            loss = dr.mean(dr.square(image - target), axis=None)
+            dr.backward(loss)
+            optimizer.step(loss)
             optimizer[key] = dr.clip(optimizer[key], 0, 1)
 
     Args:
@@ -60,11 +77,19 @@ class GaussNewton(drjit.opt.Optimizer[tuple[Any, Any, Any]]):
     """
 
     def __init__(
-        self, lr: float = RATE, params: Mapping[str, Any] | None = None, *, momentum: float = MOMENTUM
+        self,
+        lr: float = RATE,
+        params: Mapping[str, Any] | None = None,
+        *,
+        momentum: float = MOMENTUM,
     ) -> None:
         if not 0 <= momentum < 1:
             raise RenderError(f"'momentum' must be in [0, 1), found {momentum}")
         self.momentum = momentum
+        self.damping = 1.0
+        """The factor of D, at least 1: larger after steps that had to be taken back."""
+        self.lowest = np.inf
+        """The lowest loss of all steps."""
         super().__init__(lr, params)
 
     def measure(self, *residuals: Residual, scales: Mapping[str, float] | None = None) -> None:
@@ -97,11 +122,16 @@ class GaussNewton(drjit.opt.Optimizer[tuple[Any, Any, Any]]):
         for value, _, _, (before, gradient, curvature) in self.state.values():
             moved = doubles(dr.detach(value).array) - doubles(before)
             change += float(np.sum(moved * (doubles(value.grad.array) - doubles(gradient))))
-            allowed += float(np.sum(np.square(moved) * doubles(curvature)))
+            allowed += float(np.sum(np.square(moved) * doubles(curvature))) * self.damping
         return change / allowed if allowed > 0 else 0.0
 
-    def step(self, **options: Any) -> None:
-        """Take a step; arguments as those of `drjit.opt.Optimizer.step`.
+    def step(self, loss: Any = None, **options: Any) -> None:
+        """Take a step, or take the last one back and repeat it more cautiously.
+
+        Args:
+            loss: The loss at the current values, as a number; without it the last step isn't checked. More than twice
+                the lowest loss so far isn't noise.
+            options: As those of `drjit.opt.Optimizer.step`.
 
         Raises:
             RenderError: No curvature was measured, or it is zero because nothing depends on the variables.
@@ -111,12 +141,30 @@ class GaussNewton(drjit.opt.Optimizer[tuple[Any, Any, Any]]):
                 "'GaussNewton' has no curvature: call 'measure' first, and check that the residuals depend on a "
                 "variable"
             )
+        value = np.nan if loss is None else float(np.array(dr.detach(loss)).ravel()[0])
+        if loss is not None and not value <= RISEN * self.lowest:
+            self.take_back()
+        else:
+            self.lowest = np.fmin(self.lowest, value)
+            if self.growth() < SLOW:
+                self.damping = max(1.0, self.damping / 2)
         super().step(**options)
+
+    def take_back(self) -> None:
+        """Return to the start of the last step, and to the gradient there, and raise the damping."""
+        growth = self.growth()
+        self.damping *= np.clip(growth, LESS, LESS**3) if np.isfinite(growth) else LESS**3
+        for name, (value, promoted, rate, (before, gradient, curvature)) in self.state.items():
+            shape = (value.shape,) if dr.is_tensor_v(value) else ()
+            start = type(value)(before, *shape)
+            dr.enable_grad(start)
+            dr.set_grad(start, type(value)(gradient, *shape))
+            self.state[name] = start, promoted, rate, (before, gradient, curvature)
 
     def _step(self, cache: Any, value: Any, grad: Any, lr: Any, extra: tuple[Any, Any, Any], /) -> Any:
         before, _, curvature = extra
         newton = dr.select(curvature > 0, grad / curvature, 0)
-        scale = cache.product(dr.leaf_t(grad), lr, -1.0)
+        scale = cache.product(dr.leaf_t(grad), lr, -1.0) / dr.opaque(dr.leaf_t(grad), self.damping)
         return dr.fma(newton, scale, value) + self.momentum * (value - before), (value, grad, curvature)
 
     def _reset(self, key: str, value: Any, promoted: bool, /) -> None:
@@ -131,9 +179,11 @@ class GaussNewton(drjit.opt.Optimizer[tuple[Any, Any, Any]]):
 def majorant(variables: Mapping[str, Any], residual: Residual, scales: Mapping[str, float]) -> dict[str, Doubles]:
     """The bound 2 |J|^T |J| s / (n s) on the curvature of a mean of n squares, for changes of relative size s.
 
-    Only the product |J| s is needed: one forward derivative for each variable, and one reverse derivative, or one
-    for each variable if some derivatives are negative. It is exact if the derivatives of one residual with respect
-    to the entries of one variable have the same sign, as those of pixels with respect to albedos do.
+    Where the derivatives J of the residuals with respect to the entries of a variable have the same sign, as those of
+    pixels with respect to albedos do, |J| s is one forward derivative, and one reverse derivative of all variables
+    gives the bound. Where signs differ, variables of up to 16 entries take one forward derivative for each. For larger
+    ones the bound is estimated from two directions, in which all entries rise and in which random ones fall: the
+    larger results are used, which are too small where terms cancel in both.
 
     Args:
         variables: by name.
@@ -141,24 +191,59 @@ def majorant(variables: Mapping[str, Any], residual: Residual, scales: Mapping[s
         scales: by name; 1 by default.
     """
     detached = {name: type(value)(dr.detach(value)) for name, value in variables.items()}
-    slopes = {}
-    for name, value in detached.items():
-        attached = enabled(detached, [name])
-        dr.set_grad(attached[name], filled(value, scales.get(name, 1.0)))
-        slopes[name] = dr.detach(dr.forward_to(residual(attached)))
-        dr.eval(slopes[name])
-    reach = sum(dr.abs(slope) for slope in slopes.values())
-    rising = all(np.min(np.array(slope), initial=0) >= 0 for slope in slopes.values())
+    scale = {name: scales.get(name, 1.0) for name in detached}
+    rises = {name: derivative(detached, residual, name, scale[name] * np.ones(size)) for name, size in sizes(detached)}
+    if all(np.min(np.array(slope), initial=0) >= 0 for slope in rises.values()):
+        reach = sum(rises.values())
+        bounds = reverse(detached, residual, list(detached), reach)
+        return {name: np.maximum(bound, 0) / scale[name] for name, bound in bounds.items()}
+
+    columns, slopes = {}, {}
+    for name, size in sizes(detached):
+        if size <= FEW:
+            unit = scale[name] * np.eye(size)
+            columns[name] = [dr.abs(derivative(detached, residual, name, direction)) for direction in unit]
+        else:
+            signs = np.random.default_rng(size).choice([-1.0, 1.0], size)
+            slopes[name] = [(np.ones(size), rises[name])]
+            slopes[name] += [(signs, derivative(detached, residual, name, scale[name] * signs))]
+    reach = sum(sum(column) for column in columns.values())
+    reach += sum(dr.maximum(*(dr.abs(slope) for _, slope in pair)) for pair in slopes.values())
     found = {}
-    for group in [list(detached)] if rising else [[name] for name in detached]:
-        attached = enabled(detached, group)
-        seen = residual(attached)
-        signed = reach if rising else dr.select(slopes[group[0]] < 0, -reach, reach)
-        dr.backward(dr.mean(2 * seen * signed, axis=None))
-        for name in group:
-            bound = np.array(dr.grad(attached[name]), np.float64) / scales.get(name, 1.0)
-            found[name] = np.maximum(bound, 0)
+    for name, value in detached.items():
+        shape = np.shape(np.array(value))
+        if name in columns:
+            sums = [float(np.mean(np.array(2 * column * reach, np.float64))) for column in columns[name]]
+            found[name] = np.reshape(sums, shape) / scale[name] ** 2
+        else:
+            seen = [
+                signs.reshape(shape) * reverse(detached, residual, [name], dr.select(slope < 0, -reach, reach))[name]
+                for signs, slope in slopes[name]
+            ]
+            found[name] = np.maximum(np.maximum(*seen), 0) / scale[name]
     return found
+
+
+def sizes(variables: Mapping[str, Any]) -> list[tuple[str, int]]:
+    """The numbers of entries of variables."""
+    return [(name, np.size(np.array(value))) for name, value in variables.items()]
+
+
+def derivative(variables: Mapping[str, Any], residual: Residual, name: str, direction: Doubles) -> Any:
+    """The derivative of the residuals in a direction of one variable."""
+    attached = enabled(variables, [name])
+    shape = np.shape(np.array(attached[name]))
+    dr.set_grad(attached[name], type(attached[name])(direction.reshape(shape).astype(np.float32)))
+    slope = dr.detach(dr.forward_to(residual(attached)))
+    dr.eval(slope)
+    return slope
+
+
+def reverse(variables: Mapping[str, Any], residual: Residual, names: list[str], weights: Any) -> dict[str, Doubles]:
+    """The derivatives of mean(2 r w), w the weights of the residuals r, with respect to some variables."""
+    attached = enabled(variables, names)
+    dr.backward(dr.mean(2 * residual(attached) * weights, axis=None))
+    return {name: np.array(dr.grad(attached[name]), np.float64) for name in names}
 
 
 def enabled(variables: Mapping[str, Any], names: list[str]) -> dict[str, Any]:
@@ -169,11 +254,6 @@ def enabled(variables: Mapping[str, Any], names: list[str]) -> dict[str, Any]:
         if name in names:
             dr.enable_grad(result[name])
     return result
-
-
-def filled(like: Any, number: float) -> Any:
-    """An array like another with one number everywhere."""
-    return type(like)(np.full(np.shape(np.array(like)), number, np.float32))
 
 
 def doubles(value: Any) -> Doubles:

@@ -16,7 +16,7 @@ import drjit.opt
 import numpy as np
 import numpy.typing as npt
 
-from djpt.apps.optimization.gauss_newton import RATE, Curvatures, GaussNewton, majorant
+from djpt.apps.optimization.gauss_newton import RATE, RISEN, Curvatures, GaussNewton, majorant
 from djpt.apps.optimization.live import LiveSearch, Progressed
 from djpt.apps.optimization.losses import Loss, Prior, curvature_of, loss_of, prior_of, residual_of
 from djpt.apps.optimization.variables import Variable, usual_bounds
@@ -62,9 +62,12 @@ class Search:
     """The curvatures of the priors; for Gauss-Newton only."""
     images: dict[int, Any] = field(default_factory=dict)
     """The images of the last iteration, by view."""
+    lowest: dict[int, float] = field(default_factory=dict)
+    """The lowest loss of the iterations that used a view; for Gauss-Newton only."""
 
     def __post_init__(self) -> None:
-        self._spp = 0
+        self.spp = 0
+        """Samples per pixel of the last iteration."""
         self.curvatures: Curvatures | None = None
         if isinstance(self.optimizer, GaussNewton):
             self.curvatures = Curvatures(list(self.pictures), self._measured)
@@ -72,7 +75,9 @@ class Search:
     def descend(self, iteration: int, rates: Mapping[str, float], spp: int) -> float:
         """Take a step; returns the loss before it."""
         self.optimizer.set_learning_rate(rates)
-        self._spp, views, total = spp, order(list(self.pictures), iteration, self.count, self.seed), 0.0
+        if spp != self.spp:
+            self.lowest = {}  # losses with another noise can't be compared
+        self.spp, views, total = spp, order(list(self.pictures), iteration, self.count, self.seed), 0.0
         self.images = {}
         measured = self._precondition(views)
         for view in views:
@@ -84,16 +89,7 @@ class Search:
             total += differentiated(self.loss(*compared(image, self.pictures[view], self.demodulate)) / self.count)
         for name, prior, weight in self.priors:
             total += differentiated(weight * prior(self._parameter(name)))
-        # Gradients of different views can't be compared.
-        whole = self.count == len(self.pictures)
-        grown = self.curvatures is not None and whole and not measured and self.optimizer.growth() > GROWN
-        if grown:
-            self._forget()
-            self._precondition(views)
-        self.optimizer.step()
-        if grown:
-            # The step leads back from where the curvature was so large.
-            self._forget()
+        self._step(views, total, measured)
         for name, v in self.variables.items():
             self.optimizer[name] = v.projected(self.optimizer[name])
         return total
@@ -111,6 +107,26 @@ class Search:
 
     def _parameter(self, name: str) -> Any:
         return self.variables[name].parameter(self.optimizer[name])
+
+    def _step(self, views: Sequence[int], loss: float, measured: bool) -> None:
+        """Take a step. Gauss-Newton may take the last one back, and remeasures a curvature that has grown."""
+        newton = self.optimizer if isinstance(self.optimizer, GaussNewton) else None
+        grown = False
+        if newton is not None:
+            lowest = [self.lowest.get(view, np.inf) for view in views]
+            if loss <= RISEN * float(np.mean(lowest)):
+                self.lowest |= {view: min(loss, best) for view, best in zip(views, lowest, strict=True)}
+                # Gradients of different views can't be compared.
+                grown = self.count == len(self.pictures) and not measured and newton.growth() > GROWN
+            else:
+                newton.take_back()
+        if grown:
+            self._forget()
+            self._precondition(views)
+        self.optimizer.step()
+        if grown:
+            # The step leads back from where the curvature was so large.
+            self._forget()
 
     # ---- curvature -----------------------------------------------------------------------
 
@@ -136,7 +152,7 @@ class Search:
         def residual(x: Mapping[str, Any]) -> Any:
             self.params.update({name: v.parameter(x[name]) for name, v in self.variables.items()})
             seed = round_seed(self.seed, MEASURING + 1024 * number + next(calls))
-            image = render(self.scene, self.params, sensor=view, spp=self._spp, seed=seed)
+            image = render(self.scene, self.params, sensor=view, spp=self.spp, seed=seed)
             return self.residual(*compared(image, self.pictures[view], self.demodulate))  # type: ignore[misc]
 
         return majorant(variables, residual, {name: v.scale for name, v in self.variables.items()})
@@ -182,7 +198,7 @@ def differentiated(value: Any) -> float:
 # ---- the state in a file ---------------------------------------------------------------------
 
 
-KIND = "djpt search 1"
+KIND = "djpt search 2"
 
 
 def save_state(path: str | os.PathLike[str], search: Search, losses: list[float], sums: Mapping[str, Any]) -> None:
@@ -194,10 +210,17 @@ def save_state(path: str | os.PathLike[str], search: Search, losses: list[float]
         for i, moment in enumerate(moments(search.optimizer.state[name][3])):
             if moment is not None:
                 arrays[f"moment{i}:{name}"] = np.array(moment)
-    for key, array in (search.curvatures.arrays() if search.curvatures is not None else {}).items():
-        arrays[f"curvature:{key}"] = array
-    kind = type(search.optimizer).__name__
-    header = {"kind": KIND, "iteration": len(losses), "losses": losses, "optimizer": kind}
+    header = {
+        "kind": KIND,
+        "iteration": len(losses),
+        "losses": losses,
+        "optimizer": type(search.optimizer).__name__,
+        "lowest": list(search.lowest.items()),
+        "spp": search.spp,
+    }
+    if search.curvatures is not None:
+        arrays |= {f"curvature:{key}": array for key, array in search.curvatures.arrays().items()}
+        header["damping"] = search.optimizer.damping
     with writing(as_path(path)) as temporary, temporary.open("wb") as file:
         np.savez(file, header=np.frombuffer(json.dumps(header).encode(), np.uint8), **arrays)
 
@@ -226,9 +249,12 @@ def load_state(path: str | os.PathLike[str], search: Search) -> tuple[int, list[
                 None if now is None else typed(arrays[f"moment{i}:{name}"], now) for i, now in enumerate(moments(extra))
             ]
             optimizer.state[name] = value, promoted, rate, tuple(new) if isinstance(extra, tuple) else new[0]
+        search.spp = int(header["spp"])
+        search.lowest.update((int(view), float(loss)) for view, loss in header["lowest"])
         if search.curvatures is not None:
             known = {key.partition(":")[2]: arrays[key] for key in arrays if key.startswith("curvature:")}
             search.curvatures.restore(known)
+            optimizer.damping = float(header["damping"])
         return int(header["iteration"]), list(header["losses"]), {name: arrays[f"sum:{name}"] for name in variables}
     except FileError:
         raise
