@@ -44,6 +44,7 @@ class ClosedForm:
     * `depth`: the number of edges of the longest path, for integrators to be told.
     * `integrators`: the names of the integrators that find all of this light.
     * `exact`: the relative error that an approximation of the scene causes, such as a floor that isn't endless.
+    * `terms`: the radiance of paths of 1, 2, .. edges, which add up to `radiance`, where formulas give it.
     """
 
     name: str
@@ -54,6 +55,7 @@ class ClosedForm:
     depth: int
     integrators: tuple[str, ...]
     exact: float = 1e-4
+    terms: tuple[float, ...] = ()
 
 
 def camera(target: Any, origin: Any, up: Any = (0, 1, 0), size: int = 8, fov: float = 1e-3) -> Keys:
@@ -117,7 +119,18 @@ def facing_plates() -> dict[str, Any]:
     }
 
 
-SERIES = sum(GREY**k for k in range(DEPTH))
+def lamp_in_a_sphere() -> dict[str, Any]:
+    """A point light in the centre of a diffuse sphere."""
+    scene = shining_sphere()
+    del scene["shell"]["emitter"]
+    return {**scene, "lamp": {"type": "point", "position": [0, 0, 0], "intensity": 3.0}}
+
+
+SERIES = tuple(GREY**k for k in range(DEPTH))
+# The lamp's irradiance I / R^2 is constant, so the radiance after one reflection is rho / pi of it. A uniform radiance
+# L on the wall of a sphere has the irradiance pi L everywhere, so each further reflection is rho times the one before.
+INTEGRATED = (0.0, *(3.0 / (math.pi * 2.0**2) * GREY**k for k in range(1, DEPTH)))
+PLATES = (0.0, 0.5, 0.0, 0.5**3, 0.0, 0.5**5)
 
 ROOMS = (
     ClosedForm(
@@ -125,31 +138,46 @@ ROOMS = (
         "L = e (1 + rho + .. + rho^(n - 1))",
         "geometric series; the furnace of P. Shirley and others",
         shining_sphere,
-        SERIES,
+        sum(SERIES),
         DEPTH,
-        FINDING_ALL,
+        (*FINDING_ALL, "ptracer"),
+        # A ray that leaves the wall at a low angle comes back so soon that the distance by which it is moved off the
+        # wall counts. Half of a radiance of 1 + rho comes from MIS weights, which look at the distance.
         3e-4,
+        SERIES,
     ),
     ClosedForm(
         "shining box",
         "L = e (1 + rho + .. + rho^(n - 1))",
         "geometric series",
         shining_box,
-        SERIES,
+        sum(SERIES),
         DEPTH,
         # In the corners of the box the variance of `path_nee` is infinite.
-        tuple(name for name in FINDING_ALL if name != "path_nee"),
+        (*(name for name in FINDING_ALL if name != "path_nee"), "ptracer"),
         3e-4,
+        SERIES,
+    ),
+    ClosedForm(
+        "integrating sphere",
+        "L = I / (pi R^2) (rho + rho^2 + .. + rho^(n - 1))",
+        "R. Ulbricht (1900)",
+        lamp_in_a_sphere,
+        sum(INTEGRATED),
+        DEPTH,
+        ("path", "prb", "path_nee", "distributed", "volpath", "volpathmis", "bdpt", "ptracer"),
+        terms=INTEGRATED,
     ),
     ClosedForm(
         "facing plates",
         "L = e (rho + rho^3 + ..)",
         "radiosity of two endless parallel planes",
         facing_plates,
-        0.5 + 0.5**3 + 0.5**5,
+        sum(PLATES),
         7,
         ("path", "prb", "path_naive", "prb_basic"),
         1e-3,
+        PLATES,
     ),
 )
 """Closed forms of light that is reflected many times."""
@@ -376,6 +404,14 @@ def metal() -> dict[str, Any]:
     return pane(0.0, type="rectangle", to_world=T().scale(20.0), bsdf={"type": "conductor", "eta": 0.2, "k": 3.9})
 
 
+def mirrored_lamp() -> dict[str, Any]:
+    """A lamp that is seen in a mirror at 45 degrees."""
+    bsdf = {"type": "conductor", "material": "none", "specular_reflectance": 0.6}
+    to_world = T().look_at(origin=[-2, 0, 2], target=[0, 0, 0], up=[0, 1, 0]).scale(0.2)
+    lamp = {"type": "rectangle", "to_world": to_world, "emitter": area(7.0)}
+    return pane(45.0, type="rectangle", to_world=T().scale(20.0), bsdf=bsdf) | {"lamp": lamp}
+
+
 def water() -> dict[str, Any]:
     """Water over a black floor that shines, seen from above at ANGLE."""
     glass = {"type": "dielectric", "int_ior": 1.33, "ext_ior": 1.0}
@@ -386,8 +422,12 @@ W = dielectric(ANGLE, 1.33)
 R = dielectric(ANGLE, 1.5)
 THIN = 2 * R / (1 + R)
 SLAB_DEPTH = 16
-UP = R + (1 - R) ** 2 * R * sum(R ** (2 * k) for k in range(99) if 4 + 2 * k <= SLAB_DEPTH)
-DOWN = (1 - R) ** 2 * sum(R ** (2 * k) for k in range(99) if 3 + 2 * k <= SLAB_DEPTH)
+UP = [ABOVE * (1 - R) ** 2 * R ** (n - 3) for n in range(4, SLAB_DEPTH + 1, 2)]
+DOWN = [BELOW * (1 - R) ** 2 * R ** (n - 3) for n in range(3, SLAB_DEPTH + 1, 2)]
+# Light that was reflected inside 0, 1, .. times. Up: R at once, then T^2 R^(2 k + 1) after 4 + 2 k edges; down:
+# T^2 R^(2 k) after 3 + 2 k.
+SLAB = (0.0, ABOVE * R, *(term for pair in zip(DOWN, UP, strict=True) for term in pair))
+THIN_PANE = (0.0, ABOVE * THIN + BELOW * (1 - THIN))
 
 GLASS = (
     ClosedForm(
@@ -400,18 +440,30 @@ GLASS = (
             to_world=T().scale(20.0),
             bsdf={"type": "thindielectric", "int_ior": 1.5, "ext_ior": 1.0},
         ),
-        ABOVE * THIN + BELOW * (1 - THIN),
+        sum(THIN_PANE),
         2,
-        FOLLOWING,
+        (*FOLLOWING, "direct"),
+        terms=THIN_PANE,
     ),
     ClosedForm(
         "slab of glass",
         "L = e_above (R + T^2 R (1 + R^2 + ..)) + e_below T^2 (1 + R^2 + ..)",
         "A. Fresnel (1823)",
         slab,
-        ABOVE * UP + BELOW * DOWN,
+        sum(SLAB),
         SLAB_DEPTH,
         FOLLOWING,
+        terms=SLAB,
+    ),
+    ClosedForm(
+        "mirrored lamp",
+        "L = rho e",
+        "radiance is constant along rays",
+        mirrored_lamp,
+        0.6 * 7.0,
+        2,
+        (*FOLLOWING, "direct"),
+        terms=(0.0, 0.6 * 7.0),
     ),
     ClosedForm(
         "lamp under water",
