@@ -20,8 +20,8 @@ keep_apart()
 import djpt  # noqa: F401, E402 isort: skip
 import drjit as dr  # noqa: E402
 
+from djpt.description import registry  # noqa: E402
 from tests.kit.lanes import lanes_from_environment  # noqa: E402
-from tests.kit.registered import only_here  # noqa: E402
 from tests.kit.threads import threads  # noqa: E402
 
 skip_passes()
@@ -80,9 +80,15 @@ def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.Tes
 
 @pytest.fixture(scope="module", autouse=True)
 def plugins_of_a_file() -> Iterator[None]:
-    """Keep the plugins that a file's tests register from those of other files."""
-    with only_here():
-        yield
+    """Forget the plugins that a file's tests register, but for djpt's own, which are registered when needed."""
+    plugins = registry._plugins
+    before = dict(plugins)
+    yield
+    for name, (_, factory) in list(plugins.items()):
+        if name in before:
+            plugins[name] = before[name]
+        elif not registry.is_own(factory):
+            del plugins[name]
 
 
 @pytest.fixture

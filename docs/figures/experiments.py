@@ -15,7 +15,7 @@ from places import IMAGES, ROOT
 
 sys.path.append(str(ROOT))  # for the code blocks of the tests
 
-from tests.kit.markdown import sections
+from tests.kit.documents import sections
 
 __all__ = ["carpet", "paints", "unknown_sky", "valleys"]
 

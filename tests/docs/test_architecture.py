@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from tests.kit.figures import figures
+from tests.kit.documents import figures
 from tests.kit.processes import ROOT
 
 SUBPACKAGES = ("integrators", "materials", "scenes", "validation")

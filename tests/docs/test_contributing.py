@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.kit.documents import walks
 from tests.kit.processes import ROOT
-from tests.kit.walks import walks
 
 FOLDERS = ("djpt", "integrators", "materials", "scenes", "validation", "tests")
 LINKED = FOLDERS[1:-1]

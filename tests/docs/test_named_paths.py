@@ -10,9 +10,8 @@ import pytest
 
 from djpt.core.former_paths import present_path
 from tests.docs.test_links import MARKDOWN, tracked
-from tests.kit.figures import figures
+from tests.kit.documents import figures, walks
 from tests.kit.processes import ROOT
-from tests.kit.walks import walks
 
 PATH = re.compile(r"(?<![\w/.-])(?:djpt|integrators|materials|scenes|validation|tests|benchmarks|examples)/[\w./-]*")
 FILE = re.compile(r"`(\w+\.py)`")

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from djpt.description.registry import registered
-from tests.kit.markdown import snippets
+from tests.kit.documents import snippets
 from tests.kit.processes import ROOT, run_python
 
 DOCS = ROOT / "docs"

@@ -14,7 +14,7 @@ import pytest
 
 import djpt
 from djpt.apps.cli.main import app
-from tests.kit.markdown import snippets
+from tests.kit.documents import snippets
 from tests.kit.processes import ROOT, run_python
 
 pytestmark = pytest.mark.skipif(not (ROOT / "README.md").exists(), reason="not a working copy of the repository")

@@ -16,8 +16,7 @@ from djpt.description import registry
 from tests.kit import emitters, materials
 from tests.kit.derivatives import STEPS, ZEROS, Limits, differentiable
 from tests.kit.lit_floor import floor_scene
-from tests.kit.material_ball import ball
-from tests.kit.materials import bitmap, checks, rgb, texels
+from tests.kit.materials import ball, bitmap, checks, rgb, texels
 from tests.kit.media_scenes import fog, lit_ball
 from tests.kit.phases import PHASES, described
 

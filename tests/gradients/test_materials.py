@@ -20,8 +20,7 @@ from djpt.jit.types import Float, Point2f, UInt32, Vector3f
 from djpt.validation.gradcheck.losses import quotient
 from tests.kit.chi_squared import uniform
 from tests.kit.derivatives import Slopes, differentiable, numbers
-from tests.kit.material_ball import ball
-from tests.kit.materials import NAMES, bsdf, cases, first_of_each, in_kernel, interaction
+from tests.kit.materials import NAMES, ball, bsdf, cases, first_of_each, in_kernel, interaction
 
 # ---------------------------------------------------------------- values, direction by direction
 

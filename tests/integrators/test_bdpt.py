@@ -19,7 +19,7 @@ from tests.kit.devices import instances
 from tests.kit.emitters import NAMES, entry, first_of_each, plugin_of
 from tests.kit.lit_floor import floor_scene
 from tests.kit.renders import box
-from tests.kit.repeating import assert_same_for_any_threads
+from tests.kit.threads import assert_same_for_any_threads
 
 
 def check(scene: dict[str, Any], depth: int = 4, spp: int = 64, **keys: Any) -> None:

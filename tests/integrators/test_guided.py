@@ -22,7 +22,7 @@ from tests.kit.chi_squared import SPHERE, p_value, uniform
 from tests.kit.convergence import assert_converges_to_path, assert_equal_means, images
 from tests.kit.lit_floor import floor_scene
 from tests.kit.renders import box
-from tests.kit.repeating import assert_same_for_any_threads
+from tests.kit.threads import assert_same_for_any_threads
 
 LIMIT = 1e-5
 """The smallest p-value that passes."""

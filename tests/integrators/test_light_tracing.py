@@ -16,7 +16,7 @@ from djpt.jit.types import Float, Point2f
 from tests.kit.emitters import NAMES, entry, first_of_each, plugin_of
 from tests.kit.lit_floor import floor_scene
 from tests.kit.renders import box
-from tests.kit.repeating import assert_same_for_any_threads
+from tests.kit.threads import assert_same_for_any_threads
 
 CROP = {"width": 80, "height": 60, "crop_offset_x": 10, "crop_offset_y": 5, "crop_width": 40, "crop_height": 30}
 

@@ -17,7 +17,7 @@ from tests.kit.convergence import assert_converges_to_path, assert_equal_means, 
 from tests.kit.emitters import entry
 from tests.kit.lit_floor import floor_scene
 from tests.kit.renders import box
-from tests.kit.repeating import assert_same_for_any_threads
+from tests.kit.threads import assert_same_for_any_threads
 
 SIZE, SPP = 16, 256
 

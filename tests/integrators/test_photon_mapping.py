@@ -19,7 +19,7 @@ from tests.integrators.test_bdpt import MATERIALS
 from tests.kit.emitters import NAMES, entry, plugin_of
 from tests.kit.lit_floor import floor_scene
 from tests.kit.renders import box
-from tests.kit.repeating import assert_same_for_any_threads
+from tests.kit.threads import assert_same_for_any_threads
 
 KINDS = ("sppm", "vcm")
 

@@ -1,17 +1,19 @@
-"""One light, and the point that it is sampled for."""
+"""One light, the point that it is sampled for, and a bitmap with bright and dark texels for it."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import drjit as dr
+import numpy as np
 
 import djpt
 from djpt.core.frame import Frame3f
 from djpt.core.records import DirectionSample3f, SurfaceInteraction3f
-from djpt.jit.types import Float, Point2f, Point3f, Vector3f
+from djpt.core.transforms import ScalarTransform4f as T
+from djpt.jit.types import Float, Point2f, Point3f, TensorXf, Vector3f
 
-__all__ = ["lit", "local_frame", "looked_at", "reference"]
+__all__ = ["TEXELS", "TURNED", "bitmap", "lit", "local_frame", "looked_at", "reference"]
 
 
 def local_frame(wi: Any, width: int = 1) -> SurfaceInteraction3f:
@@ -47,3 +49,14 @@ def looked_at(scene: Any, d: Any) -> tuple[Any, Any, Any]:
     ds = DirectionSample3f.between(Point3f(0), ray, si)
     emitter = si.emitter(scene)
     return ds, emitter.eval(si), emitter.is_valid()
+
+
+rng = np.random.default_rng(5)
+TEXELS = (6 * rng.random((5, 7, 3)) ** 3).astype(np.float32)
+TEXELS[2, 3] = 0
+
+TURNED = T().translate([0.3, 1, 0]).rotate([0, 0, 1], 40).scale([1.5, -1, 1])
+
+
+def bitmap(texels: np.ndarray = TEXELS, **keys: Any) -> dict[str, Any]:
+    return {"type": "bitmap", "data": TensorXf(texels), "raw": True, **keys}

@@ -1,13 +1,14 @@
-"""The number of threads that kernels run in, for a while."""
+"""Kernels in some number of threads: for a while, and with the same bits for any number."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import drjit as dr
+import numpy as np
 
-__all__ = ["threads"]
+__all__ = ["assert_same_for_any_threads", "threads"]
 
 
 @contextmanager
@@ -19,3 +20,12 @@ def threads(count: int) -> Iterator[None]:
         yield
     finally:
         dr.set_thread_count(before)
+
+
+def assert_same_for_any_threads(render: Callable[[], np.ndarray]) -> np.ndarray:
+    """Assert that an image doesn't depend on the number of threads; returns it."""
+    with threads(1):
+        first = render()
+    with threads(2):
+        np.testing.assert_array_equal(render(), first)
+    return first

@@ -17,12 +17,11 @@ from djpt.description import registry
 from djpt.errors import ParameterError, SceneError
 from djpt.jit.types import Float, Point2f, TensorXf
 from djpt.textures.bitmap import Bitmap
-from tests.kit.bitmaps import TEXELS, TURNED, bitmap
 from tests.kit.chi_squared import SIGNIFICANCE, SPHERE, Domain, p_value, uniform
 from tests.kit.emitters import RECTANGLE, UNLIKE_MITSUBA, entry
 from tests.kit.kernels import kernels
 from tests.kit.lit_floor import floor_scene
-from tests.kit.one_light import lit, looked_at, reference
+from tests.kit.one_light import TEXELS, TURNED, bitmap, lit, looked_at, reference
 from tests.kit.plugins import EXAMPLES, SHEARED
 from tests.kit.renders import ours, theirs
 

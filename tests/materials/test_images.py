@@ -9,8 +9,7 @@ import pytest
 
 import djpt
 from djpt.validation import agreement, compare_renderers, mitsuba_renderer
-from tests.kit.material_ball import SHARED, ball
-from tests.kit.materials import bsdf, first_of_each
+from tests.kit.materials import SHARED, ball, bsdf, first_of_each
 from tests.kit.renders import ours, theirs
 
 pytest.importorskip("mitsuba")

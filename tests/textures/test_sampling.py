@@ -13,9 +13,8 @@ from djpt.core.transforms import ScalarTransform4f as T
 from djpt.distributions import DiscreteDistribution2D
 from djpt.jit.types import Float, Point2f
 from djpt.textures.bitmap import Bitmap
-from tests.kit.bitmaps import TURNED, bitmap
 from tests.kit.chi_squared import SIGNIFICANCE, probability_of_counts, uniform
-from tests.kit.one_light import reference
+from tests.kit.one_light import TURNED, bitmap, reference
 
 COUNT = 2**16
 BITMAPS = {

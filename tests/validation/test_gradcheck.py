@@ -16,7 +16,7 @@ from djpt.validation.gradcheck import check_gradient
 from djpt.validation.gradcheck.check import SIDE, judged
 from djpt.validation.statistics import limit_of
 from tests.kit.commands import run
-from tests.kit.faulty import FAULTS
+from tests.kit.faults import FAULTS
 
 KEY = "red.albedo.value"
 

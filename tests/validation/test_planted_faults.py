@@ -11,7 +11,7 @@ import djpt
 from djpt.scenes.overrides import override
 from djpt.validation.closed_forms import CASES, validate
 from djpt.validation.gradcheck import check_gradient
-from tests.kit.planting import planted
+from tests.kit.faults import planted
 
 
 class Fault(NamedTuple):

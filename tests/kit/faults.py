@@ -1,9 +1,14 @@
-"""A diffuse BSDF of a user, with faults in its derivatives that leave its images right."""
+"""Faults: derivatives of a user's BSDF that are wrong, and pieces of djpt's own code that are replaced."""
 
 from __future__ import annotations
+import __future__
 
+import contextlib
+import importlib
+import inspect
 import math
-from collections.abc import Callable
+import textwrap
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import drjit as dr
@@ -12,7 +17,8 @@ import djpt
 from djpt.core.warp import square_to_cosine_hemisphere
 from djpt.description.properties import Properties
 
-__all__ = ["FAULTS", "Faulty"]
+__all__ = ["FAULTS", "Faulty", "planted"]
+
 
 Fault = Callable[[Any, Any], Any]
 
@@ -78,3 +84,27 @@ class Faulty(djpt.BSDF):
 
 
 djpt.register_bsdf("faulty_diffuse", Faulty)
+
+
+@contextlib.contextmanager
+def planted(target: str, old: str, new: str) -> Iterator[None]:
+    """Replace ``old`` in the source of a function for a while.
+
+    `target` is ``module:function`` or ``module:Class.method``; the text must be there once, so that a fault can't
+    silently become none when the code changes.
+    """
+    module_name, _, path = target.partition(":")
+    module = importlib.import_module(module_name)
+    holder_path, _, name = path.rpartition(".")
+    holder = getattr(module, holder_path) if holder_path else module
+    function = getattr(holder, name)
+    source = textwrap.dedent(inspect.getsource(function))
+    assert source.count(old) == 1, f"{target}: {old!r} is there {source.count(old)} times"
+    code = compile(source.replace(old, new), f"<{target}, changed>", "exec", __future__.annotations.compiler_flag)
+    names = dict(inspect.unwrap(function).__globals__)
+    exec(code, names)
+    setattr(holder, name, names[name])
+    try:
+        yield
+    finally:
+        setattr(holder, name, function)
