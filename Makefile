@@ -41,8 +41,10 @@ render: $(READY)
 gallery: $(READY)
 	$(PY) -m djpt gallery -o gallery.png
 
-test: $(READY)  # kernels that compile in a fraction of the time, see tests/kit/quick_kernels.py
-	DJPT_TEST_QUICK=1 $(PY) -m pytest -q $(SIDE_BY_SIDE)
+# Kernels compile in a fraction of the time, see tests/kit/quick_kernels.py. Bytecode is kept, whatever the shell says:
+# processes that tests start would compile djpt anew.
+test: $(READY)
+	DJPT_TEST_QUICK=1 PYTHONDONTWRITEBYTECODE= $(PY) -m pytest -q $(SIDE_BY_SIDE)
 
 test-narrow: $(READY)
 	DJPT_TEST_LANES=8 $(PY) -m pytest -q -m 'narrow and not slow'

@@ -31,7 +31,9 @@ pytestmark = pytest.mark.skipif(not PAGES, reason="not a working copy of the rep
 
 
 @pytest.mark.sparse(3)
-@pytest.mark.parametrize("page", [page for page in PAGES if snippets(page)])
+@pytest.mark.parametrize(
+    "page", [pytest.param(p, marks=pytest.mark.slow if p in SMALLER else ()) for p in PAGES if snippets(p)]
+)
 def test_the_code_of_a_page_runs(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     code = snippets(page)
     if any("mitsuba" in block.code or "validation" in block.code for block in code):
