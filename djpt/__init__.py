@@ -19,6 +19,7 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 from djpt.core.former_paths import FormerPaths as _FormerPaths
+from djpt.core.garbage import without_garbage as _without_garbage
 from djpt.core.lazy import lazily as _lazily
 from djpt.jit.llvm.finder import prepare as _prepare
 from djpt.mitsuba.names import EXPORTS as _FOR_SCRIPTS
@@ -177,14 +178,15 @@ def __getattr__(name: str) -> Any:
     """Import a public name when it is first used (PEP 562)."""
     if name in _VARIANT_MODULES:
         return sys.modules[__name__]
-    if name in _SUBMODULES:
-        return importlib.import_module(_SUBMODULES[name])
-    if name in _own_names:
-        value = _own_name(name)
-    elif name in _MODULE_OF:
-        value = getattr(importlib.import_module(_MODULE_OF[name]), name)
-    else:
-        raise AttributeError(f"module 'djpt' has no attribute {name!r}{_hint(name)}")
+    with _without_garbage():
+        if name in _SUBMODULES:
+            return importlib.import_module(_SUBMODULES[name])
+        if name in _own_names:
+            value = _own_name(name)
+        elif name in _MODULE_OF:
+            value = getattr(importlib.import_module(_MODULE_OF[name]), name)
+        else:
+            raise AttributeError(f"module 'djpt' has no attribute {name!r}{_hint(name)}")
     globals()[name] = value
     return value
 

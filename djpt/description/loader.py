@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+from djpt.core.garbage import without_garbage
 from djpt.core.limits import MAX_DEPTH, MAX_NAME, MAX_NODES, MAX_PARTS
 from djpt.core.numeric import describe
 from djpt.description.files import Document, FileResolver, file_resolver, reading_once
@@ -15,6 +16,7 @@ from djpt.description.plugin import Plugin
 from djpt.description.properties import Merging, Properties
 from djpt.description.registry import kind_of, lookup
 from djpt.errors import SceneError, near_miss
+from djpt.jit.frozen import hold_garbage
 
 __all__ = ["Loader", "load_dict", "load_file", "load_string"]
 
@@ -100,10 +102,12 @@ class Loader:
 
     def load(self) -> Plugin | list[Plugin]:
         """Build the root, and with it all other nodes."""
-        self.collect()
-        with reading_once({name for name, count in self.files.items() if count > 1}):
-            root = self._build("")
-        parts = root.expand()
+        hold_garbage()
+        with without_garbage():
+            self.collect()
+            with reading_once({name for name, count in self.files.items() if count > 1}):
+                root = self._build("")
+            parts = root.expand()
         for part in parts:
             part.stand_alone()
         return parts[0] if len(parts) == 1 else parts

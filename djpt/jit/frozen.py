@@ -15,8 +15,7 @@ import operator
 import types
 import warnings
 import weakref
-from collections.abc import Hashable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Hashable, Iterable
 from enum import Enum
 from functools import cache, partial
 from typing import Any
@@ -35,7 +34,6 @@ __all__ = [
     "recording",
     "require_editable",
     "undifferentiated",
-    "without_garbage",
 ]
 
 SHARED: list[Any] = []
@@ -73,18 +71,6 @@ def hold_garbage() -> None:
 
 _held: list[bool] = []
 """Not empty while collections are off because of `hold_garbage`; as these, for the whole process."""
-
-
-@contextmanager
-def without_garbage() -> Iterator[None]:
-    """Collect no garbage, for the same reason, while a frozen function is called that Python alone knows of."""
-    on = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if on:
-            gc.enable()
 
 
 undifferentiated: list[str] = []

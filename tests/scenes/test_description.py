@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import gc
 from typing import Any
 
 import numpy as np
@@ -220,3 +221,26 @@ def test_lookup_by_kind() -> None:
         registry.lookup("bsdf", "sphere")
     with pytest.raises(SceneError, match="unknown film 'hdrfil'; did you mean 'hdrfilm'"):
         registry.lookup("film", "hdrfil")
+
+
+def test_loading_collects_no_garbage_and_leaves_the_collector_as_it_was() -> None:
+    collections: list[str] = []
+
+    def note(phase: str, info: dict[str, int]) -> None:
+        collections.append(phase)
+
+    scene = {"type": "scene"} | {f"ball{i}": {"type": "sphere", "center": [i, 0, 0]} for i in range(200)}
+    nested: list[Any] = []
+    was_on = gc.isenabled()
+    try:
+        for on in (True, False):
+            (gc.enable if on else gc.disable)()
+            gc.collect()
+            gc.callbacks.append(note)
+            nested.append(djpt.load_dict(scene))
+            gc.callbacks.remove(note)
+            assert gc.isenabled() == on
+    finally:
+        (gc.enable if was_on else gc.disable)()
+    # When the collector is on again.
+    assert collections.count("start") <= 2

@@ -14,11 +14,11 @@ import drjit as dr
 import numpy as np
 import numpy.typing as npt
 
+from djpt.core.garbage import without_garbage
 from djpt.core.records import Ray3f
 from djpt.description.registry import name_of, registered
 from djpt.errors import RenderError, near_miss
 from djpt.integrators.base import Integrator
-from djpt.jit.frozen import without_garbage
 from djpt.jit.kernels import begin_trace, shared, while_loop
 from djpt.jit.llvm.results import Results
 from djpt.jit.types import Float, Int32, Point2f, UInt32

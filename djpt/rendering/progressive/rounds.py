@@ -17,9 +17,10 @@ import drjit as dr
 import numpy as np
 import numpy.typing as npt
 
+from djpt.core.garbage import without_garbage
 from djpt.core.records import Ray3f
 from djpt.integrators.base import Integrator
-from djpt.jit.frozen import Holder, without_garbage
+from djpt.jit.frozen import Holder
 from djpt.jit.kernels import begin_trace
 from djpt.jit.llvm.lanes import small_blocks
 from djpt.jit.llvm.results import Results
@@ -149,6 +150,7 @@ class Rounds:
     def _launched_again(self, job: Job, seed: int) -> Callable[[], RoundSums]:
         """Launch the recorded kernels with another seed; the first time they are traced."""
         begin_trace()
+        # Garbage may hold arrays of NumPy's: see `djpt.jit.frozen.hold_garbage`, which this function hears nothing of.
         with dr.suspend_grad(), without_garbage(), small_blocks(PORTION):
             sums = self._recorded(self._inputs, dr.opaque(UInt32, seed))
         assert self._constant is not None
