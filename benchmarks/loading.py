@@ -2,14 +2,15 @@
 
     python benchmarks/loading.py [--quick] [--pairs N] [--json FILE]
 
-Both renderers read the same files in turns, in one process. Processes that print an error or render
-the Cornell box are measured by the CPU seconds of a new process, with the kernels in the cache.
+Both renderers read the same files in turns, in one process. A first load with its imports, and processes that print an
+error or render the Cornell box, are measured by the CPU seconds of new processes, with the kernels in the cache.
 Exit code 1: a required number was missed.
 """
 
 from __future__ import annotations
 
 import djpt  # isort: skip (first: it finds the LLVM library that Dr.Jit opens)
+import os
 import resource
 import statistics
 import subprocess
@@ -85,8 +86,29 @@ def mesh_rows(folder: Path, pairs: int, count: int) -> Iterator[Row]:
         yield load_row(f"{what}, {len(mesh.indices)} triangles", {"type": kind, "filename": str(file)}, pairs)
 
 
+def shared_texture_row(folder: Path, pairs: int) -> Row:
+    """Measure a scene of eight materials with one bitmap."""
+    file = folder / "shared.png"
+    djpt.write(file, np.random.default_rng(2).random((64, 64, 3)).repeat(16, 0).repeat(16, 1).astype(np.float32))
+    bsdf = {"type": "diffuse", "reflectance": {"type": "bitmap", "filename": str(file)}}
+    scene = {"type": "scene"} | {f"ball{i}": {"type": "sphere", "bsdf": bsdf} for i in range(8)}
+    return load_row("png of eight materials, 1024 x 1024", scene, pairs)
+
+
+def first_load_row(pairs: int) -> Row:
+    """Measure the imports and the first load of the Cornell box, in new processes."""
+    theirs = ["-c", "import mitsuba as m; m.set_variant('llvm_ad_rgb'); m.load_dict(m.cornell_box())"]
+    ours = ["-c", "import djpt; djpt.load_dict(djpt.cornell_box())"]
+    cpu_seconds(theirs), cpu_seconds(ours)
+    times = [(cpu_seconds(theirs), cpu_seconds(ours)) for _ in range(pairs)]
+    mitsuba, own = (1e3 * statistics.median(column) for column in zip(*times, strict=True))
+    ratios = [a / b for a, b in times]
+    return Row("import and first load, Cornell box", 1, 1.5, ratios, f"{mitsuba:.0f} ms / {own:.0f} ms of CPU")
+
+
 def process_rows(pairs: int) -> Iterator[Row]:
     """Measure the CPU seconds of new processes."""
+    yield first_load_row(pairs)
     render = "import djpt; djpt.render(djpt.load_dict(djpt.cornell_box()), spp=16).numpy()"
     for what, arguments, required in (
         ("import djpt", ["-c", "import djpt"], 0.2),
@@ -104,8 +126,17 @@ def cpu_seconds(arguments: list[str]) -> float:
         children = resource.getrusage(resource.RUSAGE_CHILDREN)
         return children.ru_utime + children.ru_stime
 
+    # Mitsuba's process gets djpt's choice of LLVM, whose neighbours only djpt finds by itself.
+    llvm = os.environ["DRJIT_LIBLLVM_PATH"]
+    environment = os.environ | {"LD_LIBRARY_PATH": os.path.dirname(llvm)}
     before = used()
-    subprocess.run([sys.executable, *arguments], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=False)
+    subprocess.run(
+        [sys.executable, *arguments],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        check=False,
+        env=environment,
+    )
     return used() - before
 
 
@@ -116,6 +147,7 @@ def all_rows(pairs: int, quick: bool) -> Iterator[Row]:
         for size in (1024,) if quick else (1024, 4096):
             yield from texture_rows(folder, pairs, size)
             yield from environment_rows(folder, pairs, size)
+        yield shared_texture_row(folder, pairs)
         for count in (57_000,) if quick else (57_000, 1_000_000):
             yield from mesh_rows(folder, pairs, count)
     yield from process_rows(pairs)
