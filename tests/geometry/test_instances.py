@@ -14,13 +14,15 @@ import djpt
 from djpt.core.records import Ray3f
 from djpt.core.transforms import ScalarTransform4f as T
 from djpt.errors import SceneError
+from djpt.geometry.bvh.leaves import Extent, MeshPart
+from djpt.geometry.two_level_bvh import Contents
 from djpt.jit.types import Point3f, Vector3f
 from djpt.shapes import Instance, ShapeGroup
 from djpt.shapes.axes import AxisPool
 from djpt.validation import agreement
 from tests.kit.arrays import in_numpy, rows
 from tests.kit.axes import unit
-from tests.kit.mesh_scenes import ball_file, diffuse, gallery, sheet_file, uv_texture
+from tests.kit.mesh_scenes import ball, ball_file, diffuse, gallery, sheet_file, uv_texture
 from tests.kit.renders import pixels, theirs
 
 SHEAR = T([[1, 0.5, 0, 0], [0, 1, 0, 0], [-0.3, 0, 1, 0], [0, 0, 0, 1]])
@@ -361,3 +363,19 @@ def test_a_thousand_instances(folder: Path) -> None:
     assert triangles.tree.bytes < 128 * (triangles.meshes.face_count + 1000)
     machine, wave = (pixels(djpt.render(loaded, spp=4, schedule=s)) for s in ("machine", "wave"))
     assert agreement(machine, wave, 1e-4).share > 0.99
+
+
+@pytest.mark.parametrize("name", AFFINE)
+def test_boxes_of_instances_are_tight(name: str) -> None:
+    data = ball(24)
+    positions, faces = data["positions"], data["faces"]
+    # A vertex without a face doesn't count, nor does one that isn't a number.
+    mesh = djpt.Mesh("ball", np.concatenate([positions, [[9, 9, 9], [np.nan, 0, 0]]]), faces)
+    extent = Extent(*(find(positions.astype(np.float32), axis=0) for find in (np.min, np.max)))
+    to_world = AFFINE[name].matrix
+    low, high = Contents.of(MeshPart([mesh], np.zeros(1, np.uint32), 0), extent).placed_box(to_world)
+    # The box about the turned box about a ball is up to 1.7 times as wide as it need be.
+    placed = positions.astype(np.float32) @ to_world[:3, :3].T + to_world[:3, 3]
+    assert (low <= placed.min(axis=0)).all()
+    assert (placed.max(axis=0) <= high).all()
+    assert (high - low <= 1.15 * np.ptp(placed, axis=0)).all()
