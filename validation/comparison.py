@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from djpt.images.sheets import DARK, Tile, captioned_sheet, enlarged, shown
 from djpt.validation.metrics import MEASURES, flip_map, pair, within
-from djpt.validation.report import Bytes, Pictured, difference_picture
+from djpt.validation.report import Bytes, Pictured, aligned, difference_picture
 from djpt.validation.statistics import TestResult
 
 __all__ = ["Agreement", "Comparison", "agreement"]
@@ -234,10 +234,7 @@ class Comparison(Pictured):
             for title, spp in zip(self.titles, (self.spp, self.reference_spp), strict=True)
         ]
         title = f"{self.name}, {width} x {height}: {sides[0]}, {sides[1]}"
-        rows = self.rows()
-        widths = [max(len(row[i]) for row in rows) for i in range(3)]
-        lines = ["  ".join([*(cell.ljust(w) for cell, w in zip(row, widths, strict=False)), row[3]]) for row in rows]
-        return "\n".join([title, *(f"  {line}".rstrip() for line in lines), self.verdict])
+        return "\n".join([title, *aligned(self.rows()), self.verdict])
 
     def summary(self) -> dict[str, Any]:
         """The numbers and the verdict as JSON can hold them; NaN and infinity are None."""

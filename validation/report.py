@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -16,7 +16,7 @@ from djpt.errors import FileError
 from djpt.images.formats import DISPLAY_FORMATS
 from djpt.images.image import Image, png_address, write
 
-__all__ = ["Bytes", "Pictured", "check_page", "difference_picture", "document", "read_beside", "write_page"]
+__all__ = ["Bytes", "Pictured", "aligned", "check_page", "difference_picture", "document", "read_beside", "write_page"]
 
 Bytes = npt.NDArray[np.uint8]
 
@@ -49,6 +49,12 @@ class Pictured:
     def _repr_html_(self) -> str:
         """The picture and the table, for notebooks."""
         return f'<img src="{png_address(self._repr_png_())}"><pre>{html.escape(str(self))}</pre>'
+
+
+def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    """The rows of a table as lines of text, with their cells below each other."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [f"  {'  '.join(map(str.ljust, row, widths))}".rstrip() for row in rows]
 
 
 def difference_picture(image: Any, reference: Any, scale: float) -> Bytes:

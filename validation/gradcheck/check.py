@@ -17,7 +17,7 @@ from djpt.rendering.settings import check_count, check_seed
 from djpt.scenes.overrides import described, override, reduced
 from djpt.validation.gradcheck.losses import Loss, MitsubaLoss, loss_of
 from djpt.validation.metrics import ComparisonError
-from djpt.validation.report import Bytes, Pictured, difference_picture
+from djpt.validation.report import Bytes, Pictured, aligned, difference_picture
 from djpt.validation.statistics import deviate, limit_of, pooled_dof
 
 __all__ = ["Direction", "GradientCheck", "Verdict", "check_gradient", "judged"]
@@ -246,8 +246,7 @@ class GradientCheck(Pictured):
         for verdict in self.verdicts:
             good = "ok" if verdict.passed else "FAILED"
             rows.append((verdict.what, f"{verdict.found:+.5g}", f"{verdict.expected:+.5g}", f"{verdict.z:+.2f}", good))
-        widths = [max(len(row[i]) for row in rows) for i in range(4)]
-        lines += ["  " + "  ".join([*(c.ljust(w) for c, w in zip(row, widths, strict=False)), row[4]]) for row in rows]
+        lines += aligned(rows)
         lines.append(f"  resolution: detects errors above {self.resolution:.2%} of the largest derivative")
         lines += [f"  {note}" for note in self.notes]
         lines.append("passed" if self.passed else "FAILED")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 import uuid
@@ -389,10 +390,8 @@ class SharedImage(EvenImage):
 
 def closing(images: Iterator[Accumulation], results: Any) -> Iterator[Accumulation]:
     """The images; tasks that are no longer needed are cancelled at the end."""
-    try:
+    with contextlib.closing(results):
         yield from images
-    finally:
-        results.close()
 
 
 # ---- gradients, summed over the workers ------------------------------------------------------

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -118,6 +119,19 @@ def confidence(
     return Confidence(tuple(names), np.where(part > 1e-3, np.inf, spread), values, vectors.T.copy())
 
 
+@contextlib.contextmanager
+def attached(params: SceneParameters, keys: Iterable[str]) -> Iterator[None]:
+    """Let parameters have gradients for a while."""
+    for key in keys:
+        params[key] = type(params[key])(dr.detach(params[key]))
+        dr.enable_grad(params[key])
+    params.update()
+    yield
+    for key in keys:
+        params[key] = type(params[key])(dr.detach(params[key]))
+    params.update()
+
+
 def derivative_images(
     scene: Scene, params: SceneParameters, sizes: Mapping[str, int], view: int, spp: int, seed: int
 ) -> list[Doubles]:
@@ -125,17 +139,13 @@ def derivative_images(
     found = []
     for key, size in sizes.items():
         for i in range(size):
-            kind, shape = type(params[key]), np.shape(np.array(params[key]))
             tangent = np.zeros(size, np.float32)
             tangent[i] = 1
-            params[key] = kind(dr.detach(params[key]))
-            dr.enable_grad(params[key])
-            params.update()
-            dr.set_grad(params[key], kind(tangent.reshape(shape)))
-            image = render(scene, params, sensor=view, spp=spp, seed=seed)
-            found.append(np.array(dr.forward_to(image), np.float64))
-            params[key] = kind(dr.detach(params[key]))
-            params.update()
+            with attached(params, [key]):
+                shape = np.shape(np.array(params[key]))
+                dr.set_grad(params[key], type(params[key])(tangent.reshape(shape)))
+                image = render(scene, params, sensor=view, spp=spp, seed=seed)
+                found.append(np.array(dr.forward_to(image), np.float64))
     return found
 
 
@@ -148,15 +158,8 @@ def gradient(
     seed: int,
 ) -> Doubles:
     """The gradient of the loss with respect to all entries, noise included."""
-    for key in sizes:
-        params[key] = type(params[key])(dr.detach(params[key]))
-        dr.enable_grad(params[key])
-    params.update()
-    for view, target in pictures.items():
-        image = render(scene, params, sensor=view, spp=spp, seed=round_seed(seed, view))
-        dr.backward(dr.mean(dr.square(image - type(image)(target)), axis=None) / len(pictures))
-    found = np.concatenate([np.array(dr.grad(params[key]), np.float64).ravel() for key in sizes])
-    for key in sizes:
-        params[key] = type(params[key])(dr.detach(params[key]))
-    params.update()
-    return found
+    with attached(params, sizes):
+        for view, target in pictures.items():
+            image = render(scene, params, sensor=view, spp=spp, seed=round_seed(seed, view))
+            dr.backward(dr.mean(dr.square(image - type(image)(target)), axis=None) / len(pictures))
+        return np.concatenate([np.array(dr.grad(params[key]), np.float64).ravel() for key in sizes])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import os
@@ -437,23 +438,16 @@ class Watch:
     def __init__(self, files: Iterable[Path]) -> None:
         self.files = tuple(files)
         """The files that are watched."""
-        self._seen = self._state()
+        self._seen: dict[Path, tuple[int, int]] = {}
+        self.has_changed()
 
     def has_changed(self) -> bool:
         """True if a file has changed since the last call. A file that is missing momentarily hasn't."""
-        state = self._state()
-        changed = any(new is not None and new != old for new, old in zip(state, self._seen, strict=True))
-        self._seen = tuple(old if new is None else new for new, old in zip(state, self._seen, strict=True))
+        found = {}
+        for path in self.files:
+            with contextlib.suppress(OSError):
+                status = os.stat(path)
+                found[path] = status.st_mtime_ns, status.st_size
+        changed = any(self._seen.get(path) != stamp for path, stamp in found.items())
+        self._seen |= found
         return changed
-
-    def _state(self) -> tuple[tuple[int, int] | None, ...]:
-        return tuple(stamp(path) for path in self.files)
-
-
-def stamp(path: Path) -> tuple[int, int] | None:
-    """The modification time in nanoseconds and the size of a file; None if it doesn't exist."""
-    try:
-        status = os.stat(path)
-    except OSError:
-        return None
-    return status.st_mtime_ns, status.st_size
