@@ -17,7 +17,7 @@ from djpt.core.records import Ray3f
 from djpt.geometry.bvh.steps.traversal import reciprocal
 from djpt.geometry.query import enter
 from djpt.geometry.triangle import RayPlane, intersect_triangle
-from djpt.jit.kernels import aligned, as_float, as_vector, maximum, minimum, wide
+from djpt.jit.kernels import aligned, as_float, as_vector, maximum, minimum, while_loop, wide
 from djpt.jit.types import ArrayXu, Bool, Float, Point3f, UInt32, Vector3f
 
 __all__ = ["NO_FACE", "Accelerator", "Approach", "Found", "SearchedTable", "Statistics", "TriangleTable"]
@@ -131,6 +131,25 @@ class TriangleTable:
         hit = intersect_triangle(ray.plane, Point3f(words[0:3]), Point3f(words[3:6]), Point3f(words[6:9]))
         closer = hit.hit & (hit.t > 0) & (hit.t < found.t)
         return Found(dr.select(closer, hit.t, found.t), dr.select(closer, face, found.face))
+
+    def visit_list(
+        self, ray: Approach, faces: UInt32 | None, item: UInt32, end: UInt32, found: Found, any_hit: bool
+    ) -> tuple[UInt32, Found]:
+        """Test a list of triangles from `item` to `end`, with `any_hit` up to the first hit: the place and the hit.
+
+        `faces` is what the list is part of; None: all triangles, in order.
+        """
+
+        def face(item: UInt32) -> UInt32:
+            return item if faces is None else dr.gather(UInt32, faces, item)
+
+        item, found = while_loop(
+            (item, found),
+            lambda item, found: (item < end) & ((found.face == NO_FACE) if any_hit else Bool(True)),
+            lambda item, found: (item + 1, self.visit(ray, face(item), found)),
+            label="list of triangles",
+        )
+        return item, found
 
 
 class SearchedTable:

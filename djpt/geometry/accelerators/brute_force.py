@@ -8,9 +8,8 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.geometry.accelerators.base import NO_FACE, Approach, Found, SearchedTable, Statistics, TriangleTable
-from djpt.jit.kernels import while_loop
-from djpt.jit.types import Bool, UInt32
+from djpt.geometry.accelerators.base import Approach, Found, SearchedTable, Statistics, TriangleTable
+from djpt.jit.types import UInt32
 
 __all__ = ["BruteForce", "closest_in_double"]
 
@@ -28,14 +27,8 @@ class BruteForce(SearchedTable):
 
     def search(self, ray: Approach, any_hit: bool) -> Found:
         count = dr.opaque(UInt32, self.table.count)
-        _, found = while_loop(
-            (dr.zeros(UInt32, ray.lanes), ray.nothing_yet()),
-            lambda face, found: (face < count) & ((found.face == NO_FACE) if any_hit else Bool(True)),
-            lambda face, found: (face + 1, self.table.visit(ray, face, found)),
-            label="brute force",
-        )
-        result: Found = found
-        return result
+        first = dr.zeros(UInt32, ray.lanes)
+        return self.table.visit_list(ray, None, first, count, ray.nothing_yet(), any_hit)[1]
 
     def statistics(self) -> Statistics:
         """Measure the list; the SAH cost is the number of triangles, all of which are tested."""

@@ -109,12 +109,7 @@ class UniformGrid(SearchedTable):
 
     def _step(self, ray: Approach, walk: Walk, any_hit: bool) -> Walk:
         """Test the cell's triangles, then go on."""
-        item, found = while_loop(
-            (walk.item, walk.found),
-            lambda item, found: (item < walk.end) & ((found.face == NO_FACE) if any_hit else Bool(True)),
-            lambda item, found: (item + 1, self.table.visit(ray, dr.gather(UInt32, self._faces, item), found)),
-            label="cell",
-        )
+        item, found = self.table.visit_list(ray, self._faces, walk.item, walk.end, walk.found, any_hit)
         planes = self._exits(ray, walk.cell)
         # A hit further away than this cell may lie behind one in the next.
         active = walk.active & (found.t > walk.leave)

@@ -118,12 +118,7 @@ class KdTree(SearchedTable):
 
         def visit(begin: Float, found: Found, active: Bool) -> tuple[Float, Found, Bool]:
             item, end, until = self._descend(ray, begin, leave)
-            _, found = while_loop(
-                (item, found),
-                lambda item, found: (item < end) & ((found.face == NO_FACE) if any_hit else Bool(True)),
-                lambda item, found: (item + 1, self.table.visit(ray, dr.gather(UInt32, self._faces, item), found)),
-                label="leaf",
-            )
+            _, found = self.table.visit_list(ray, self._faces, item, end, found, any_hit)
             # A hit behind this leaf may lie behind one in the next.
             active = active & (found.t > until) & (until < leave)
             if any_hit:
