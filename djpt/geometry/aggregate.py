@@ -219,9 +219,7 @@ class Geometry:
         of_copy, of_placement = tables
         index = of_copy.at(hit.shape_index)
         if self.triangles is not None and hit.near is not None and hit.near.inside is not None:
-            index = dr.select(
-                hit.near.inside == NONE, index, of_placement.at(self.triangles.placement(hit.near.inside))
-            )
+            index = dr.select(hit.near.inside == NONE, index, of_placement.at(self.triangles.owner_of(hit.near.inside)))
         return dr.select(hit.is_valid(), index, NO_INSTANCE)
 
     def on_mesh(self, face: UInt32) -> Bool:
@@ -315,7 +313,7 @@ class FaceNumbers:
         geometry = self._geometry
         if self._mesh is None or geometry.triangles is None:
             return self._analytic.at(face)
-        on_mesh = self._mesh.at(geometry.triangles.mesh_of(geometry.record_of(face)))
+        on_mesh = self._mesh.at(geometry.triangles.owner_of(geometry.record_of(face)))
         if not geometry.analytic_shapes:
             return on_mesh
         return dr.select(geometry.on_mesh(face), on_mesh, self._analytic.at(face))

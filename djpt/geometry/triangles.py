@@ -130,17 +130,13 @@ class Triangles:
 
     # ---- what a record says --------------------------------------------------------------
 
-    def mesh_of(self, record: UInt32) -> UInt32:
-        """The mesh that a triangle belongs to."""
+    def owner_of(self, record: UInt32) -> UInt32:
+        """The number of the mesh or analytic shape of a record, or the number of the instance; of NONE any number."""
         return self.tree.word(record, LABEL, record != NONE) & NUMBER
 
     def shape_of(self, record: UInt32) -> UInt32:
         """The index in the scene of the shape that a record belongs to."""
-        return self._shape_of_mesh.at(self.mesh_of(record))
-
-    def placement(self, record: UInt32) -> UInt32:
-        """The number of the instance that a record stands for; of NONE any number."""
-        return self.tree.word(record, LABEL, record != NONE) & NUMBER
+        return self._shape_of_mesh.at(self.owner_of(record))
 
     def per_mesh(self, of_shape: Sequence[int]) -> Numbers:
         """Turn a table of numbers by shape into one by mesh."""
@@ -149,7 +145,7 @@ class Triangles:
     def primitive_index(self, record: UInt32, p: Point3f) -> UInt32:
         """The number of a triangle in its mesh; on analytic shapes Mitsuba's number of the primitive at `p`."""
         face = self.tree.word(record, DETAIL, record != NONE)
-        mesh = self.mesh_of(record)
+        mesh = self.owner_of(record)
         index: UInt32 = face - self._first_face.at(mesh)
         if any(shape.faces_per_primitive != 1 for shape in self.meshes.meshes):
             parts = [shape.faces_per_primitive for shape in self.meshes.meshes]

@@ -104,22 +104,17 @@ class TwoLevelBVH:
     ) -> PlacedLeaves:
         """The leaves of the world's tree, with the maps into the spaces of its shapes and groups."""
         starts, first = self._trees.starts(), len(self._meshes.meshes)
-        inverse, label, detail, side = [], [], [], []
+        solids = []
         for i, shape in enumerate(self._solids):
             if not shape.in_pieces:
-                inverse.append(np.linalg.inv(shape.to_world.matrix)[:3])
-                label.append(LEAF | PORTAL | SOLID | (0 if shape.emitter() is None else EMITS) | (first + i))
-                detail.append(kind_of(shape))
-                side.append(-1.0 if shape.flip_normals else 1.0)
-        solids = leaves_of(inverse, label, detail, side)
-        inverse, label, detail, side = [], [], [], []
+                label = LEAF | PORTAL | SOLID | (0 if shape.emitter() is None else EMITS) | (first + i)
+                side = -1.0 if shape.flip_normals else 1.0
+                solids.append((np.linalg.inv(shape.to_world.matrix)[:3], label, kind_of(shape), side))
+        instances = []
         for i, placement in enumerate(self._placements):
             into = np.linalg.inv(placement.to_world)[:3]
             into[:, 3] -= groups[placement.group - 1].center
-            inverse.append(into)
-            label.append(LEAF | PORTAL | i)
-            detail.append(starts[placement.group])
-            side.append(1.0)
+            instances.append((into, LEAF | PORTAL | i, starts[placement.group], 1.0))
         parts, number = [], PIECE
         for shape, part in zip(in_pieces, pieces, strict=True):
             maps, radii = part.maps, part.radii
@@ -127,7 +122,7 @@ class TwoLevelBVH:
             numbers = np.arange(number, number + len(maps), dtype=np.uint32)
             parts.append(PlacedLeaves(maps, own, numbers, radii[:, 0].copy(), radii[:, 1].copy()))
             number += len(maps)
-        return PlacedLeaves.joined([solids, *parts, leaves_of(inverse, label, detail, side)])
+        return PlacedLeaves.joined([leaves_of(solids), *parts, leaves_of(instances)])
 
     @property
     def _one_sided(self) -> bool:
@@ -148,14 +143,15 @@ class TwoLevelBVH:
         return self._trees.statistics()
 
 
-def leaves_of(inverse: list[Any], label: list[int], detail: list[int], side: list[float]) -> PlacedLeaves:
-    """Leaves from lists of their fields."""
+def leaves_of(rows: Sequence[tuple[Any, int, int, float]]) -> PlacedLeaves:
+    """Leaves from rows: the inverse map, the label, the detail and the side."""
+    inverse, label, detail, side = zip(*rows, strict=True) if rows else ((), (), (), ())
     return PlacedLeaves(
         np.array(inverse, np.float64).reshape(-1, 3, 4),
         np.array(label, np.uint32),
         np.array(detail, np.uint32),
         np.array(side, np.float32),
-        np.zeros(len(side), np.float32),
+        np.zeros(len(rows), np.float32),
     )
 
 

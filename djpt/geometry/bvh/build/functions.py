@@ -8,8 +8,8 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from functools import cache
+from types import SimpleNamespace
 
 from djpt.geometry.bvh.build.build_functions import add_build_functions
 from djpt.geometry.bvh.build.collapse_functions import add_plan, add_weigh
@@ -19,74 +19,52 @@ from djpt.jit.llvm.compiler import CompilationError, compiled
 from djpt.jit.llvm.ir import Module
 from djpt.jit.llvm.lanes import target
 
-__all__ = ["Functions", "can_compile", "functions"]
+__all__ = ["can_compile", "functions"]
 
 CTYPES = {"p": ctypes.c_void_p, "i": ctypes.c_int64, "f": ctypes.c_float}
 
-SIGNATURES = {
-    "bounds": "piipp",
-    "prepare": "piipp",
-    "split": "ppppiii",
-    "grow": "ppppiii",
-    "weigh": "piif",
-    "plan": "pippppp",
-    "emit": "ppppppiii",
-    "fit": "ppppppiiip",
-    "take_corners": "piip",
-    "invert": "piip",
-    "write_rows": "piipppi",
-}
-"""The parameters of the functions: pointers, integers and floats. All results are integers."""
-
-
-PARTS: tuple[tuple[Callable[[Module], None], ...], ...] = (
-    (add_build_functions,),
-    (add_weigh, add_plan, add_fit_functions, add_row_functions),
+MODULES: tuple[tuple[tuple[Callable[[Module], None], ...], dict[str, str]], ...] = (
+    (
+        (add_build_functions,),
+        {"bounds": "piipp", "prepare": "piipp", "split": "ppppiii", "grow": "ppppiii"},
+    ),
+    (
+        (add_weigh, add_plan, add_fit_functions, add_row_functions),
+        {
+            "weigh": "piif",
+            "plan": "pippppp",
+            "emit": "ppppppiii",
+            "fit": "ppppppiiip",
+            "take_corners": "piip",
+            "invert": "piip",
+            "write_rows": "piipppi",
+        },
+    ),
 )
-"""The functions that fill each module; the modules take about the same time to compile."""
+"""For each module what fills it, and the parameters of its functions: pointers, integers and floats.
 
-NAMES = (
-    ("bounds", "prepare", "split", "grow"),
-    ("weigh", "plan", "emit", "fit", "take_corners", "invert", "write_rows"),
-)
-"""The functions of each module."""
-
-
-@dataclass
-class Functions:
-    """The functions, see the modules that define them."""
-
-    bounds: Callable[..., int]
-    prepare: Callable[..., int]
-    split: Callable[..., int]
-    grow: Callable[..., int]
-    weigh: Callable[..., int]
-    plan: Callable[..., int]
-    emit: Callable[..., int]
-    fit: Callable[..., int]
-    take_corners: Callable[..., int]
-    invert: Callable[..., int]
-    write_rows: Callable[..., int]
+All results are integers. The modules take about the same time to compile.
+"""
 
 
 @cache
-def functions() -> Functions:
-    """The functions, compiled at the first call, on two threads."""
-    modules = []
-    for part in PARTS:
+def functions() -> SimpleNamespace:
+    """The functions by name, see the modules that define them; compiled at the first call, on two threads."""
+    texts, names = [], []
+    for additions, signatures in MODULES:
         module = Module()
-        for add in part:
+        for add in additions:
             add(module)
-        modules.append(module.text())
+        texts.append(module.text())
+        names.append(tuple(signatures))
     target()  # which other threads may not be able to ask for
-    with ThreadPoolExecutor(len(modules)) as team:
-        addresses = {name: at for found in team.map(compiled, modules, NAMES) for name, at in found.items()}
-    return Functions(
-        **{
-            name: ctypes.CFUNCTYPE(ctypes.c_int64, *(CTYPES[letter] for letter in letters))(addresses[name])
-            for name, letters in SIGNATURES.items()
-        }
-    )
+    result = SimpleNamespace()
+    with ThreadPoolExecutor(len(texts)) as team:
+        for addresses, (_, signatures) in zip(team.map(compiled, texts, names), MODULES, strict=True):
+            for name, letters in signatures.items():
+                of_type = ctypes.CFUNCTYPE(ctypes.c_int64, *(CTYPES[letter] for letter in letters))
+                setattr(result, name, of_type(addresses[name]))
+    return result
 
 
 @cache

@@ -13,7 +13,7 @@ docs/theory/acceleration.md explains the layout; docs/performance.md what each p
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
@@ -184,7 +184,7 @@ def crossed(
         words = load(records.words, cursor.current)
         placed = into_group(words, o, d)
         back, popped = advance(cursor, UInt32(0), [UInt32(INFINITY)] * 4, None)
-        after = Cursor(back, popped, cursor.t, cursor.hit, cursor.b, Bool(False), cursor.passage)
+        after = replace(cursor, current=back, stack=popped, waiting=Bool(False))
         if records.kinds:
             after = test_solid(records, after, cursor.current, words, placed, any_hit, through_lights)
         if cursor.passage is not None:
@@ -211,15 +211,13 @@ def test_solid(
         hit &= ~(through_lights & ((words[12] & EMITS) != 0))
     passage = cursor.passage
     if passage is not None:
-        passage = Passage(passage.o, passage.d, passage.inside, dr.select(hit, NONE, passage.hit_inside))
-    return Cursor(
-        dr.select(hit & any_hit, UInt32(EMPTY), cursor.current),
-        cursor.stack,
-        dr.select(hit, t, cursor.t),
-        dr.select(hit, record, cursor.hit),
-        cursor.b,
-        cursor.waiting,
-        passage,
+        passage = replace(passage, hit_inside=dr.select(hit, NONE, passage.hit_inside))
+    return replace(
+        cursor,
+        current=dr.select(hit & any_hit, UInt32(EMPTY), cursor.current),
+        t=dr.select(hit, t, cursor.t),
+        hit=dr.select(hit, record, cursor.hit),
+        passage=passage,
     )
 
 
@@ -235,18 +233,16 @@ def pass_portal(
     out = (words[12] & NUMBER) == NUMBER
     # Below the group's tree on the stack lies the record that leads out of the instance.
     pushed = [UInt32((EXIT << 9) | 4), *cursor.stack[:-1]]
-    return Cursor(
-        dr.select(out, after.current, words[13]),
-        [dr.select(out, a, b) for a, b in zip(after.stack, pushed, strict=True)],
-        cursor.t,
-        cursor.hit,
-        cursor.b,
-        Bool(False),
-        Passage(
-            dr.select(out, o, placed[0]),
-            dr.select(out, d, placed[1]),
-            dr.select(out, UInt32(NONE), cursor.current),
-            passage.hit_inside,
+    return replace(
+        cursor,
+        current=dr.select(out, after.current, words[13]),
+        stack=[dr.select(out, a, b) for a, b in zip(after.stack, pushed, strict=True)],
+        waiting=Bool(False),
+        passage=replace(
+            passage,
+            o=dr.select(out, o, placed[0]),
+            d=dr.select(out, d, placed[1]),
+            inside=dr.select(out, UInt32(NONE), cursor.current),
         ),
     )
 
@@ -314,8 +310,7 @@ class Stepper:
         current = dr.select(hit & any_hit, UInt32(EMPTY), current)
         b = None if cursor.b is None else dr.select(hit, Point2f(found.b1, found.b2), cursor.b)
         if passage is not None:
-            inside = dr.select(hit, passage.inside, passage.hit_inside)
-            passage = Passage(passage.o, passage.d, passage.inside, inside)
+            passage = replace(passage, hit_inside=dr.select(hit, passage.inside, passage.hit_inside))
         return Cursor(current, stack, t, record, b, portal, passage)
 
     def _triangle(self, words: list[UInt32]) -> TriangleHit:

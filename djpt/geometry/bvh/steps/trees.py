@@ -116,6 +116,9 @@ class StepTree(Records):
 
     stepwise: bool = True
 
+    # The searches take the records as their first parameter, so they are methods.
+    search, start, turn = search, start, turn
+
     @staticmethod
     def of(records: Records) -> StepTree:
         """The tree of some records."""
@@ -124,19 +127,6 @@ class StepTree(Records):
     @property
     def bytes(self) -> int:
         return 4 * dr.width(self.words)
-
-    def search(
-        self, ray: Ray3f, any_hit: bool, active: Bool | bool = True, through_lights: Bool | None = None
-    ) -> Found:
-        return search(self, ray, any_hit, active, through_lights)
-
-    def start(
-        self, o: Point3f, d: Vector3f, maxt: Float, active: Bool | bool, hit: UInt32 | int, weights: bool
-    ) -> Cursor:
-        return start(self, o, d, maxt, active, hit, weights)
-
-    def turn(self, cursor: Cursor, o: Point3f, d: Vector3f, any_hit: Bool, through_lights: Bool | None) -> Cursor:
-        return turn(self, cursor, o, d, any_hit, through_lights)
 
     def row(self, record: UInt32) -> list[UInt32]:
         return load_second(self.words, record)
