@@ -295,8 +295,12 @@ def attached(integrator: Integrator, scene: Scene, mode: dr.ADMode, sensor: Sens
         with dr.resume_grad():
             changes = [dr.forward_to(value, flags=dr.ADFlag.ClearNone) for value in values]
             values = [type(value)(dr.detach(value)) for value in values]
+            # Numbers that were written into a script must not be written into kernels, nor must a change of 0.
+            dr.make_opaque(values, changes)
             dr.enable_grad(values)
             dr.set_grad(values, changes)
+    else:
+        dr.make_opaque(values)
     places = {(id(p.owner), p.attribute): v for p, v in zip(parameters, values, strict=True)}
     with exchanged(with_normals(places, scene.shapes())):
         yield attached_view(scene, places)

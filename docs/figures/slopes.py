@@ -14,7 +14,7 @@ from djpt.images.sheets import Tile, captioned_sheet, shown
 from djpt.validation.report import difference_picture
 from places import IMAGES, LADDER, ROOT
 
-__all__ = ["albedo", "derivatives", "smoke"]
+__all__ = ["albedo", "derivatives", "lamp", "pose", "smoke"]
 
 
 def albedo() -> None:
@@ -27,6 +27,18 @@ def smoke() -> None:
     """What the smoke example writes."""
     with patch.object(sys, "argv", ["smoke.py", "--out", str(IMAGES / "recovered_smoke.png")]):
         runpy.run_path(str(ROOT / "examples" / "smoke.py"), run_name="__main__")
+
+
+def pose() -> None:
+    """What the example of a camera's pose writes."""
+    with patch.object(sys, "argv", ["pose.py", "--out", str(IMAGES / "pose.png")]):
+        runpy.run_path(str(ROOT / "examples" / "pose.py"), run_name="__main__")
+
+
+def lamp() -> None:
+    """What the example of a lamp's shadow writes."""
+    with patch.object(sys, "argv", ["lamp.py", "--out", str(IMAGES / "lamp.png")]):
+        runpy.run_path(str(ROOT / "examples" / "lamp.py"), run_name="__main__")
 
 
 def derivatives() -> None:

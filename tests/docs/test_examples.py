@@ -94,6 +94,46 @@ def test_the_smoke_script_prints_the_loss_and_writes_a_picture(tmp_path: Any) ->
     assert np.array(djpt.read(picture)).shape == (2 * 16, 4 * 16, 3)
 
 
+def test_a_pose_is_found_from_a_small_picture() -> None:
+    """From nearby; with a picture of 48 x 48 pixels."""
+    pose = load_example("pose")
+    scene = pose.load(48)
+    start = pose.orbiting(36, 32, 6.6, 33.0)
+    blurs = (1 / 8, 1 / 16, 1 / 16, 1 / 32, 1 / 32, 1 / 64, 1 / 64)
+    found = pose.search(scene, pose.picture(scene, pose.TRUTH, 1024), start, blurs=blurs)
+    assert start.errors(pose.TRUTH)[0] > 6
+    angle, way, length = found.errors(pose.TRUTH)
+    assert angle < 0.2 and way < 0.02 and length < 0.02
+
+
+@pytest.mark.slow
+def test_a_pose_is_found_from_far_away() -> None:
+    pose = load_example("pose")
+    scene = pose.load(128)
+    found = pose.search(scene, pose.picture(scene, pose.TRUTH, 1024), pose.START)
+    angle, way, length = found.errors(pose.TRUTH)
+    assert angle < 0.1 and way < 0.005 and length < 0.005
+
+
+def test_a_lamp_is_found_by_its_shadow() -> None:
+    lamp = load_example("lamp")
+    scene = lamp.load(32)
+    target = djpt.render(scene, spp=256, seed=2**20)
+    found = lamp.search(scene, target, lamp.START)
+    assert np.linalg.norm(np.array(lamp.START) - lamp.TRUTH) > 2.5
+    assert np.linalg.norm(found - lamp.TRUTH) < 0.03
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["pose", "lamp"])
+def test_the_scripts_of_places_print_errors_and_write_pictures(name: str, tmp_path: Any) -> None:
+    options = ["--size", "16", "--spp", "1"] + (["--steps", "2"] if name == "lamp" else [])
+    done = run_python(str(EXAMPLES / f"{name}.py"), "--out", str(tmp_path / "a.png"), *options, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert ("off by" if name == "lamp" else "focal length") in done.stdout
+    assert np.array(djpt.read(tmp_path / "a.png")).shape == (16, 3 * 16, 3)
+
+
 def test_an_own_integrator_is_differentiated_without_adjoint_code(tmp_path: Any) -> None:
     """The script compares the derivative with a finite difference, and fails if they differ."""
     picture = tmp_path / "sky.png"

@@ -199,6 +199,24 @@ def test_the_command_line(tmp_path: Path) -> None:
     assert code == 2 and "red.reflectance.value" in err
 
 
+@pytest.mark.parametrize("key", ["light.to_world", "lamp.position"])
+def test_motions_of_lights(key: str) -> None:
+    """On a floor without shadows, where there is little noise."""
+    film = {"type": "hdrfilm", "width": 8, "height": 8, "rfilter": {"type": "box"}}
+    place = djpt.ScalarTransform4f().look_at([0, 0, 6], [0, 0, 0], [0, 1, 0])
+    scene = {
+        "type": "scene",
+        "integrator": {"type": "direct_projective", "sppi": 0},
+        "sensor": {"type": "perspective", "fov": 40, "to_world": place, "film": film},
+        "floor": {"type": "rectangle", "to_world": djpt.ScalarTransform4f().scale(3)},
+        "light": {"type": "spot", "to_world": place, "cutoff_angle": 25.0},
+        "lamp": {"type": "point", "position": [1, 0, 2]},
+    }
+    result = check_gradient(scene, key, spp=16, seeds=4, most_seeds=4)
+    assert result.passed, result
+    assert result.gradient.size == (3 if key.endswith("position") else 6) and np.abs(result.gradient).max() > 0.002
+
+
 @pytest.mark.parametrize("key", ["sensor.to_world", "sensor.x_fov", "ball.to_world"])
 def test_motions(key: str) -> None:
     """Shapes and cameras are moved as a whole; noise of silhouettes hides small errors."""

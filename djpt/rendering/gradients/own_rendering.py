@@ -57,6 +57,8 @@ class OwnDerivative:
         self._places = [(id(p.owner), p.attribute) for p in parameters]
         # Later edits of the scene must not change what is differentiated.
         self._values = [type(p.value)(dr.detach(p.value)) for p in parameters]
+        # Numbers that were written into a script must not be written into kernels.
+        dr.make_opaque(self._values)
 
     @contextmanager
     def _leaves(self) -> Iterator[tuple[list[Any], Scene]]:
@@ -76,6 +78,7 @@ class OwnDerivative:
     def forward(self, tangents: list[Any]) -> TensorXf:
         """The derivative of the image in the direction of `tangents`, one per parameter."""
         with dr.resume_grad(), self._leaves() as (fresh, scene):
+            dr.make_opaque(tangents)
             for leaf, tangent in zip(fresh, tangents, strict=True):
                 dr.set_grad(leaf, tangent)
             return self._integrator.render_forward(scene, self._params, *self._samples)
