@@ -209,7 +209,7 @@ def test_motions_of_lights(key: str) -> None:
         "integrator": {"type": "direct_projective", "sppi": 0},
         "sensor": {"type": "perspective", "fov": 40, "to_world": place, "film": film},
         "floor": {"type": "rectangle", "to_world": djpt.ScalarTransform4f().scale(3)},
-        "light": {"type": "spot", "to_world": place, "cutoff_angle": 25.0},
+        "light": {"type": "spot", "to_world": place, "cutoff_angle": 25.0, "intensity": 50.0},
         "lamp": {"type": "point", "position": [1, 0, 2]},
     }
     result = check_gradient(scene, key, spp=16, seeds=4, most_seeds=4)
