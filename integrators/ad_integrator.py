@@ -15,9 +15,10 @@ from djpt.integrators.base import Integrator
 from djpt.jit.types import Bool, Color3f, Float, Int32, Point2f, TensorXf, UInt32
 from djpt.rendering.gradients.leaves import attached_parameters, motion_parameters
 from djpt.rendering.gradients.own_rendering import attached_view
-from djpt.rendering.gradients.unproven import require_proven
+from djpt.rendering.gradients.unproven import moves, require_proven
 from djpt.rendering.schedules.job import require_countable
 from djpt.samplers.base import Sampler
+from djpt.scene.instance_copies import with_copies
 from djpt.scene.scene import Scene, find_sensor
 from djpt.sensors.base import Sensor
 from djpt.shapes.silhouettes.moving import exchanged
@@ -288,6 +289,8 @@ def attached(integrator: Integrator, scene: Scene, mode: dr.ADMode, sensor: Sens
     if not isinstance(scene.lookup, Detached):
         yield scene
         return
+    if moves(scene, sensor):
+        scene = with_copies(scene)
     require_proven(scene, integrator, sensor)
     parameters = [*attached_parameters(scene), *motion_parameters(scene, sensor)]
     values = [p.value for p in parameters]

@@ -12,6 +12,7 @@ from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_shape
 from djpt.errors import ParameterError, SceneError
+from djpt.shapes.axes import AxisPool
 from djpt.shapes.base import Shape
 from djpt.shapes.shapegroup import ShapeGroup
 
@@ -52,6 +53,9 @@ class Instance(Shape):
             if not shape.of_triangles:
                 shape.check_parameter("to_world", to_world @ shape.to_world)
 
+    def can_be_followed(self) -> bool:
+        return all(shape.silhouette_discontinuity_types() for shape in self.group.shapes)
+
     def check_parameter(self, name: str, value: Any) -> Any:
         value = super().check_parameter(name, value)
         self._check_shapes(value)
@@ -59,7 +63,7 @@ class Instance(Shape):
 
     def traverse(self, callback: TraversalCallback) -> None:
         # As in Mitsuba, the group's parameters belong to the group, which is a node of the scene.
-        callback.put("to_world", self.to_world)
+        callback.put("to_world", self.to_world, self.motion_flags())
 
     def bsdf(self) -> None:
         """None: BSDFs belong to the shapes of the group."""
@@ -72,6 +76,9 @@ class Instance(Shape):
 
     def move_nested(self, frame: Frame) -> None:
         self.group = frame.copy_of(self.group)
+
+    def place(self, pool: AxisPool) -> None:
+        """Do nothing: what kernels read of an instance belongs to the scene's geometry."""
 
     def interval(self, direction: NDArray[np.float64]) -> tuple[float, float]:
         matrix = self.to_world.matrix

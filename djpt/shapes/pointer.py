@@ -231,42 +231,47 @@ class ShapePtr(Pointer[Shape]):
     def sample_silhouette(self, sample: Any, flags: int, active: Bool | bool = True) -> SilhouetteSample3f:
         """The segment of a silhouette that belongs to a point of the unit cube: see `djpt.Shape.sample_silhouette`."""
         point = Point3f(sample)
-        return self._silhouettes(lambda silhouette: silhouette.sample(point, int(flags), active))
+        return self._silhouettes(lambda silhouette, mine: silhouette.sample(point, int(flags), mine & active))
 
     def invert_silhouette_sample(self, ss: SilhouetteSample3f, active: Bool | bool = True) -> Point3f:
         """The point that `sample_silhouette` takes to a segment; 0 where there is no shape."""
-        return self._ask_silhouettes(lambda silhouette: silhouette.invert(ss, active), Point3f(0))
+        return self._ask_silhouettes(lambda silhouette, mine: silhouette.invert(ss, mine & active), Point3f(0))
 
     def primitive_silhouette_projection(
         self, viewpoint: Any, si: SurfaceInteraction3f, flags: int, sample: Any, active: Bool | bool = True
     ) -> SilhouetteSample3f:
         """A point of the silhouette as seen from a point: see `djpt.Shape.primitive_silhouette_projection`."""
         seen_from, u = Point3f(viewpoint), Float(sample)
-        return self._silhouettes(lambda silhouette: silhouette.project(seen_from, si, int(flags), u, active))
+        return self._silhouettes(
+            lambda silhouette, mine: silhouette.project(seen_from, si, int(flags), u, mine & active)
+        )
 
     def sample_precomputed_silhouette(
         self, viewpoint: Any, sample1: Any, sample2: Any, active: Bool | bool = True
     ) -> SilhouetteSample3f:
         """A point of a part of the silhouette: see `djpt.Shape.sample_precomputed_silhouette`."""
         seen_from, part, u = Point3f(viewpoint), UInt32(sample1), Float(sample2)
-        return self._silhouettes(lambda silhouette: silhouette.sample_precomputed(seen_from, part, u, active))
+        return self._silhouettes(
+            lambda silhouette, mine: silhouette.sample_precomputed(seen_from, part, u, mine & active)
+        )
 
     def differential_motion(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Point3f:
         """The point `si.p`, attached to the parameters of the shapes: see `djpt.Shape.differential_motion`."""
         p = Point3f(si.p)
         for number, shape in enumerate(self.plugins):
             if shape.parameters_grad_enabled():
-                p = dr.select(self.index == number, shape.differential_motion(si, active), p)
+                mine = self.index == number
+                p = dr.select(mine, shape.differential_motion(si, mine & active), p)
         return p
 
-    def _silhouettes(self, question: Callable[[Any], SilhouetteSample3f]) -> SilhouetteSample3f:
+    def _silhouettes(self, question: Callable[[Any, Bool], SilhouetteSample3f]) -> SilhouetteSample3f:
         from djpt.shapes.silhouettes.lanes import numbered
         from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
         found: SilhouetteSample3f = self._ask_silhouettes(question, SilhouetteSample3f())
         return numbered(found, self.plugins, self.index)
 
-    def _ask_silhouettes(self, question: Callable[[Any], Any], otherwise: Any) -> Any:
+    def _ask_silhouettes(self, question: Callable[[Any, Bool], Any], otherwise: Any) -> Any:
         from djpt.shapes.silhouettes.lanes import ask  # rendering needs no silhouettes
 
         return ask(self.ensemble, self.index, self.lookup, question, otherwise)

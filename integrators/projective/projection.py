@@ -182,10 +182,11 @@ class ProjectOperation:
         shape, place, n = si.shape, Point3f(si.p), Point3f(si.n)
         for mesh_number, mesh in enumerate(scene.silhouette_shapes()):
             if mesh.of_triangles:
-                corners = [mesh.vertex_position(k, remaining) for k in mesh.face_indices(ss.prim_index, remaining)]
                 mine = shape.index == mesh_number
+                own = remaining & mine
+                corners = [mesh.vertex_position(k, own) for k in mesh.face_indices(ss.prim_index, own)]
                 place = dr.select(mine, dr.detach((corners[0] + corners[1] + corners[2]) / 3), place)
-                n = dr.select(mine, dr.detach(mesh.face_normal(ss.prim_index, remaining)), n)
+                n = dr.select(mine, dr.detach(mesh.face_normal(ss.prim_index, own)), n)
         height = RAY_EPSILON * (1 + dr.max(dr.abs(place)))
         above = scene.ray_intersect(
             Ray3f(dr.fma(n, height, place), -n),

@@ -337,6 +337,45 @@ CASES |= {
         thorough=True,
     ),
 }
+
+
+def placed(name: str, place: Any) -> dict[str, Any]:
+    """An instance of a group of three shapes."""
+    group = {
+        "type": "shapegroup",
+        "mesh": octahedron((0.3, 0.1, 0), 0.5),
+        "ball": ball(center=[-0.5, 0, 0], radius=0.4),
+        "box": {"type": "cube", "to_world": T().translate([0.2, 0.9, 0]).scale(0.3)},
+    }
+    return {"group": group, name: {"type": "instance", "to_world": place, "of": {"type": "ref", "id": "group"}}}
+
+
+CASES |= {
+    "an instance over a floor": Case(
+        lambda: {
+            **placed("moving", T().translate([0.3, 0, 0.5]).rotate([0.6, 0.8, 0], 30)),
+            "light": POINT,
+            "floor": {**GREY, "to_world": T().translate([0, 0, -1.5]).scale(4)},
+        },
+        turn("moving.to_world", 20),
+        spp=512,
+    ),
+    "a floor that rises under the shadow of an instance": Case(
+        lambda: {
+            **placed("other", T().translate([1, 1, 3]).rotate([0.6, 0.8, 0], 30).scale(0.5)),
+            "light": POINT,
+            "moving": FLOOR,
+            "sensor": ASIDE,
+        },
+        shift("moving.to_world", 0, 0, 1),
+        spp=512,
+    ),
+    "a camera, turn: an instance": Case(
+        lambda: {**placed("other", T().rotate([0.6, 0.8, 0], 30)), "light": SUN},
+        lambda params, theta: turn_head(params, theta),
+        spp=512,
+    ),
+}
 CASES |= {
     "a ball rises from a floor": Case(
         lambda: {"moving": DIPPED, "floor": GREY, "light": LIGHT}, shift("moving.to_world", 0, 0, 1), spp=512

@@ -11,6 +11,7 @@ import pytest
 import djpt
 from djpt.core.transforms import ScalarTransform4f as T
 from djpt.jit.types import Float, Point3f, UInt32
+from djpt.scene.instance_copies import with_copies
 from djpt.shapes.mesh import Mesh
 from tests.kit.axes import unit
 
@@ -134,3 +135,30 @@ def test_boxes_move_with_their_corners() -> None:
     np.testing.assert_allclose(np.array(dr.grad(places[0])).ravel(), expected, atol=1e-4)
     # A corner at x = 1 moves by theta, one at -1 doesn't.
     np.testing.assert_allclose(np.array(dr.grad(places[1])).ravel(), [(places[1].x[0] + 1) / 2, 0, 0], atol=1e-5)
+
+
+def test_copies_move_as_their_instance_does() -> None:
+    """A mesh, a ball and a box in a group that turns about the z axis."""
+    group = {
+        "type": "shapegroup",
+        "a": box(False),
+        "b": {"type": "sphere", "center": [1, 2, 3]},
+        "c": {"type": "cube", "to_world": TURNED},
+    }
+    description = {"type": "scene", "group": group, "i": {"type": "instance", "of": {"type": "ref", "id": "group"}}}
+    scene = djpt.load_dict(description)
+    params = djpt.traverse(scene)
+    theta = Float(0)
+    dr.enable_grad(theta)
+    params["i.to_world"] = djpt.Transform4f().translate([0, 0, theta]).rotate([0, 0, 1], 90 * theta)
+    params.update()
+    copies = with_copies(scene).shapes()
+    assert [copied.id() for copied in copies] == ["i.box", "i.group.b", "i.group.c"]
+    assert all(copied.parameters_grad_enabled() for copied in copies)
+    uv, triangle = djpt.Point2f(0.3, 0.6), UInt32(6)
+    places = [copied.silhouette().follow(triangle, uv, True) for copied in copies]
+    at = [np.array(dr.detach(p)).ravel() for p in places]
+    dr.forward(theta)
+    for p, change in zip(at, places, strict=True):
+        expected = [-np.pi / 2 * p[1], np.pi / 2 * p[0], 1]
+        np.testing.assert_allclose(np.array(dr.grad(change)).ravel(), expected, atol=1e-4)

@@ -168,6 +168,12 @@ PROVEN: dict[str, dict[str, Any]] = {
         "sky": {"type": "constant"},
         "cone": {"type": "cone", "to_world": T().translate([0, 3, 0])},
     },
+    "an instance": {
+        "lamp": None,
+        "group": {"type": "shapegroup", "ball": {"type": "sphere"}, "mesh": octahedron((0, 0, 3), 1)},
+        "moving": {"type": "instance", "group": {"type": "ref", "id": "group"}},
+        "sky": {"type": "constant"},
+    },
     "a mesh with flat facets": {"lamp": None, "moving": octahedron((0, 0, 3), 1), "sky": {"type": "constant"}},
     "rough glass": {"moving": ball({"type": "roughdielectric"})},
     "glass alone": {"lamp": None, "floor": None, "moving": ball(GLASS), "sky": {"type": "constant"}},

@@ -12,8 +12,9 @@ from djpt.dispatch.ensemble import Attached
 from djpt.jit.types import TensorXf
 from djpt.rendering.gradients.derivatives import attached_image
 from djpt.rendering.gradients.leaves import Parameter, attached_parameters, motion_parameters
-from djpt.rendering.gradients.unproven import require_proven
+from djpt.rendering.gradients.unproven import moves, require_proven
 from djpt.rendering.settings import RenderSettings
+from djpt.scene.instance_copies import with_copies
 from djpt.scene.scene import Scene, find_sensor
 from djpt.shapes.silhouettes.moving import exchanged
 from djpt.shapes.silhouettes.normals import with_normals
@@ -36,15 +37,18 @@ def image_by_itself(scene: Scene, params: Any, settings: RenderSettings) -> Tens
     integrator = settings.integrator
     if integrator.follows_media:
         scene = scene.replace(all_media=True)
-    parameters = [*attached_parameters(scene), *motion_parameters(scene, find_sensor(scene, settings.sensor))]
+    shown, sensor = scene, find_sensor(scene, settings.sensor)
 
     def primal() -> TensorXf:
         with dr.suspend_grad():
-            return integrator.render(scene, settings.sensor, settings.seed, settings.spp, develop=True, evaluate=False)
+            return integrator.render(shown, settings.sensor, settings.seed, settings.spp, develop=True, evaluate=False)
 
+    if moves(scene, sensor):
+        scene = with_copies(scene)
+    parameters = [*attached_parameters(scene), *motion_parameters(scene, sensor)]
     if not parameters:
         return primal()
-    require_proven(scene, integrator, find_sensor(scene, settings.sensor))
+    require_proven(scene, integrator, sensor)
     return attached_image(parameters, [], primal, OwnDerivative(scene, params, settings, parameters))
 
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from djpt.scene.scene import Scene
     from djpt.sensors.base import Sensor
 
-__all__ = ["CASES", "Case", "Rendering", "require_proven"]
+__all__ = ["CASES", "Case", "Rendering", "moves", "require_proven"]
 
 
 NARROW = 0.01
@@ -298,8 +298,7 @@ CASES: tuple[Case, ...] = (
         needs_numbers=True,
     ),
     Case(
-        "an instance, a curve or an implicit surface, if it may hide light from a moving shape, or that of a light "
-        "that moves",
+        "a curve or an implicit surface, if it may hide light from a moving shape, or that of a light that moves",
         "its outlines and the edges of its shadows aren't followed",
         "use a mesh",
         unknown_outlines,
@@ -307,6 +306,15 @@ CASES: tuple[Case, ...] = (
     ),
 )
 """The cases of shapes, lights and cameras that move, those that are found fastest first."""
+
+
+def moves(scene: Scene, sensor: Sensor | None) -> bool:
+    """Whether the place of a shape, a light or the sensor has gradients."""
+    movers = (
+        *(shape.parameters_grad_enabled() for shape in scene.shapes()),
+        *(e.is_moving() for e in scene.emitters()),
+    )
+    return any(movers) or bool(sensor and sensor.attached_names())
 
 
 def require_proven(scene: Scene, integrator: Integrator, sensor: Sensor | None = None) -> None:

@@ -34,8 +34,8 @@ def foreground(
     """
     p, n = Point3f(ss.p), Normal3f(ss.n)
     for number, shape in enumerate(shapes):
-        near, outer = shape.silhouette().foreground(ss, active)
         mine = ss.scene_index == number
+        near, outer = shape.silhouette().foreground(ss, active & mine)
         p, n = dr.select(mine, near, p), dr.select(mine, outer, n)
     front = dr.dot(n, ss.d) <= 1e-3
     toward = dr.select(front, n, -n)

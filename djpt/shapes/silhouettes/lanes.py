@@ -10,7 +10,7 @@ import drjit as dr
 from djpt.core.lookup import choose
 from djpt.dispatch.ensemble import Ensemble, Lookup
 from djpt.dispatch.family import NONE, SCRIPT_PLUGINS
-from djpt.jit.types import UInt32
+from djpt.jit.types import Bool, UInt32
 from djpt.shapes.silhouettes.base import Silhouette
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
@@ -26,11 +26,12 @@ def numbered(ss: SilhouetteSample3f, shapes: Sequence[Any], index: UInt32) -> Si
 
 
 def ask(
-    ensemble: Ensemble[Any], index: UInt32, lookup: Lookup, question: Callable[[Silhouette], Any], otherwise: Any
+    ensemble: Ensemble[Any], index: UInt32, lookup: Lookup, question: Callable[[Silhouette, Bool], Any], otherwise: Any
 ) -> Any:
-    """``question(silhouette)`` per lane; `otherwise` where there is no shape, or one whose silhouettes aren't known.
+    """``question(silhouette, mine)`` per lane; `otherwise` where there is no shape, or its silhouettes aren't known.
 
-    Analytic shapes of a class are asked together. Meshes have arrays of their own, and so are asked one by one.
+    Analytic shapes of a class are asked together. Meshes have arrays of their own, and so are asked one by one: `mine`
+    are the lanes of the one that is asked, of which alone the numbers of triangles are its own.
     """
     result = otherwise
     for group in ensemble.groups:
@@ -38,8 +39,9 @@ def ask(
             continue
         if group.plugins[0].of_triangles:
             for number, mesh in zip(group.indices, group.plugins, strict=True):
-                result = dr.select(index == number, question(mesh.silhouette()), result)
+                mine = index == number
+                result = dr.select(mine, question(mesh.silhouette(), mine), result)
         else:
-            found = question(group.at(ensemble.slots(group, index), lookup).silhouette())
+            found = question(group.at(ensemble.slots(group, index), lookup).silhouette(), Bool(True))
             result = dr.select(ensemble.members(group, index), found, result)
     return result

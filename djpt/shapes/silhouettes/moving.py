@@ -25,6 +25,10 @@ class AttachedTransform(ScalarTransform4f):
         super().__init__(dr.detach(lanes.matrix))
         self.lanes = lanes
 
+    def __matmul__(self, other: Any) -> Any:
+        """The product of the values."""
+        return ScalarTransform4f(self.matrix) @ other
+
     def __eq__(self, other: object) -> bool:
         return self is other
 
