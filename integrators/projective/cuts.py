@@ -9,6 +9,7 @@ import drjit as dr
 
 from djpt.core.records import Ray3f, SurfaceInteraction3f
 from djpt.integrators.projective.detail import seen_through
+from djpt.integrators.projective.splat import keep
 from djpt.jit.types import Bool, Color3f, Float, Point2f, UInt32, Vector2f
 
 __all__ = ["cuts_on_film"]
@@ -69,6 +70,7 @@ def cuts_on_film(integrator: Any, scene: Any, sensor: Any, sampler: Any) -> tupl
         here, there = (
             integrator.shade(scene, sampler, shown_ray(sensor, at, window), UInt32(0), None, meet) for at in (low, high)
         )
+        keep(low, high, meet, here, there, times)
     change = change_of_distance(integrator, scene, sensor, low, meet)
     change -= change_of_distance(integrator, scene, sensor, high, meet)
     middle = 0.5 * (low + high)

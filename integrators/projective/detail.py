@@ -25,6 +25,7 @@ from djpt.integrators.projective.guiding import (
 from djpt.integrators.projective.outlines import Outlines
 from djpt.integrators.projective.projection import ProjectOperation
 from djpt.integrators.projective.receivers import Receiver
+from djpt.integrators.projective.splat import keep
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f
 from djpt.sensors.orthographic import Orthographic
 from djpt.sensors.projective import Central
@@ -263,6 +264,7 @@ class ProjectiveDetail:
                 jump = dr.select(is_one_of(ss.scene_index, moving), dr.abs(front - back), 0)
                 return weight * (jump + dr.select(seen_moving, back, 0)), [], Point2f(0)
             behind = scene.ray_intersect(ss.spawn_ray(), active=active).t
+            keep(ss, active, weight, front, back, behind, place, edges, viewer)
         receiver = Receiver(parent, scene, sensor, ss, place, edges, viewer, active)
         value = Color3f(front - back) * self.speed(scene, ss, active) + Color3f(back) * receiver.speed_at_edge(behind)
         return Color3f(weight) * value, [], place

@@ -16,7 +16,7 @@ from djpt.distributions.distributions_1d import DiscreteDistribution
 from djpt.errors import RenderError
 from djpt.jit.types import Bool, Float, Point3f, UInt32, Vector3f, backend
 
-__all__ = ["UNIFORM_SHARE", "BaseGuidingDistr", "GridDistr", "OcSpaceDistr", "UniformDistr", "places_of"]
+__all__ = ["UNIFORM_SHARE", "BaseGuidingDistr", "GridDistr", "OcSpaceDistr", "UniformDistr", "padded", "places_of"]
 
 Array3u = backend.Array3u
 
@@ -41,6 +41,13 @@ def shares(mass: Float, volume: Float, uniform_share: float) -> Float:
         uniform_share: the probability of the choice by volume; with 0 boxes without mass are never chosen.
     """
     return mass if uniform_share == 0 else dr.fma(mass / dr.sum(mass), 1 - uniform_share, volume * uniform_share)
+
+
+def padded(mass: Float) -> Float:
+    """Probabilities, followed by zeros up to the next power of two: kernels know how many there are."""
+    count = dr.width(mass)
+    missing = (1 << (count - 1).bit_length()) - count
+    return dr.concat([mass, dr.zeros(Float, missing)]) if missing else mass
 
 
 class UniformDistr(BaseGuidingDistr):
@@ -276,7 +283,7 @@ class OcSpaceDistr(BaseGuidingDistr):
         box_mass = dr.select(valid, box_mass, 0)
         if self.scale_mass > 0:
             box_mass = Float(dr.power(box_mass, 1 - self.scale_mass))
-        self.pmf = DiscreteDistribution(shares(box_mass, size.x * size.y * size.z, self.uniform_share))
+        self.pmf = DiscreteDistribution(padded(shares(box_mass, size.x * size.y * size.z, self.uniform_share)))
         self.lower, self.upper = low, high
 
     def sample(self, sampler: Any) -> tuple[Vector3f, Float]:
@@ -286,7 +293,7 @@ class OcSpaceDistr(BaseGuidingDistr):
         return Vector3f(dr.lerp(low, high, three(sampler))), size.x * size.y * size.z * dr.rcp(chance)
 
     def __repr__(self) -> str:
-        return f"OcSpaceDistr[leaves={self.pmf.size()}]"
+        return f"OcSpaceDistr[leaves={0 if self.pmf.empty() else dr.width(self.lower)}]"
 
 
 def joined(parts: Sequence[Point3f]) -> Point3f:

@@ -9,6 +9,7 @@ import drjit as dr
 
 from djpt.core.records import SurfaceInteraction3f
 from djpt.distributions.distributions_1d import DiscreteDistribution
+from djpt.integrators.projective.guiding import padded
 from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
@@ -28,7 +29,9 @@ class Outlines:
         self._shapes, self._viewpoint = shapes, viewpoint
         parts = [shape.precompute_silhouette(viewpoint, creases) for shape in shapes]
         self._parts = [indices for indices, _ in parts]
-        self._within = [DiscreteDistribution(weights if dr.width(weights) else Float(0)) for _, weights in parts]
+        self._within = [
+            DiscreteDistribution(padded(weights) if dr.width(weights) else Float(0)) for _, weights in parts
+        ]
         seen = [float(dr.width(weights) > 0) for _, weights in parts]
         weights = [s * shape.silhouette_sampling_weight() for s, shape in zip(seen, shapes, strict=True)]
         self._among = DiscreteDistribution(Float(weights)) if any(weights) else None

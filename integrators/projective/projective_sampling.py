@@ -15,6 +15,7 @@ from djpt.integrators.projective.detail import ProjectiveDetail
 from djpt.integrators.projective.reattach import delta_lights
 from djpt.integrators.projective.receivers import followed, outlined
 from djpt.integrators.projective.shadows import ShadowEdges
+from djpt.integrators.projective.splat import attached_splat, keep
 from djpt.jit.frozen import recording
 from djpt.jit.types import Bool, Color3f, Float, Point2f, TensorXf, UInt32
 from djpt.rendering.gradients.meetings import meeting_pairs
@@ -49,7 +50,8 @@ class PSIntegrator(RBIntegrator):
     More settings are attributes: `proj_seed_spp`, samples per pixel that are projected; `guiding_grid_reso`,
     `octree_max_depth`, `octree_max_leaf_cnt`, `octree_extra_leaf_sample`, `octree_highres_x_slices`,
     `octree_contruction_thres`, `octree_construction_mean_mult`, `clamp_mass_thres`, `scale_mass`: see
-    `djpt.ad.guiding`; `proj_mesh_algo` (`hybrid`, `walk` or `jump`), `proj_mesh_max_walk`, `proj_mesh_max_jump`.
+    `djpt.ad.guiding`, and for their defaults docs/performance.md; `proj_mesh_algo` (`hybrid`, `walk` or `jump`),
+    `proj_mesh_max_walk`, `proj_mesh_max_jump`.
     """
 
     follows_silhouettes = True
@@ -65,15 +67,15 @@ class PSIntegrator(RBIntegrator):
         self.guiding_proj = props.boolean("guiding_proj", True)
         self.guiding_rounds = props.integer("guiding_rounds", 1, low=1)
         self.guiding_grid_reso = [10000, 100, 100]
-        self.proj_seed_spp = 512
+        self.proj_seed_spp = 64
         self.clamp_mass_thres = 1e-8
         self.scale_mass = 0.0
         self.proj_mesh_algo = "hybrid"
         self.proj_mesh_max_walk = 30
         self.proj_mesh_max_jump = 2
-        self.octree_max_depth = 9
+        self.octree_max_depth = 8
         self.octree_max_leaf_cnt = 2**24
-        self.octree_extra_leaf_sample = 256
+        self.octree_extra_leaf_sample = 32
         self.octree_highres_x_slices = 100
         self.octree_contruction_thres = 0.0
         self.octree_construction_mean_mult = 0.1
@@ -296,6 +298,7 @@ class PSIntegrator(RBIntegrator):
             difference, _ = detail.eval_primary_silhouette_radiance_difference(scene, sampler, ss, sensor, active)
             weight = dr.select(active, difference * dr.rcp(ss.pdf), 0)
             ds, _ = on_film(sensor, ss)
+            keep(ss, active, weight, ds.uv)
         return self._splatted(sensor, sampler, ds.uv, weight * detail.speed_on_film(sensor, ss, active), active)
 
     def render_indirect_silhouette(self, scene: Scene, sensor: Sensor, sampler: Sampler, spp: int) -> TensorXf:
@@ -311,17 +314,25 @@ class PSIntegrator(RBIntegrator):
     def _splatted(
         self, sensor: Sensor, sampler: Sampler, place: Point2f, value: Color3f, active: Bool | bool
     ) -> TensorXf:
-        """The image of samples of the whole film, at places in pixels; their mean is the mean of the image."""
+        """The image of samples of the whole film, at places in pixels; their mean is the mean of the image.
+
+        It is attached to the samples; its values are 0.
+        """
         film = sensor.canvas or sensor.film()
-        film.prepare(list(self.aov_names()))
-        block = film.create_block(normalize=True)
         width, height = sensor.film().crop_size()
-        color = Color3f(value) * (width * height / sampler.wavefront_size())
-        alpha = [Float(0)] if film.flags() & FilmFlags.Alpha else []
-        aovs = [Float(0) for _ in self.aov_names()]
-        block.put(place + Point2f(sensor.column, 0), [color.x, color.y, color.z, *alpha, Float(0), *aovs], active)
-        film.put_block(block)
-        return film.develop()
+        place, active = dr.detach(place + Point2f(sensor.column, 0)), Bool(active)
+        keep(place, active)
+
+        def splat(color: Color3f) -> TensorXf:
+            film.prepare(list(self.aov_names()))
+            block = film.create_block(normalize=True)
+            alpha = [Float(0)] if film.flags() & FilmFlags.Alpha else []
+            aovs = [Float(0) for _ in self.aov_names()]
+            block.put(place, [color.x, color.y, color.z, *alpha, Float(0), *aovs], active)
+            film.put_block(block)
+            return film.develop()
+
+        return attached_splat(Color3f(value) * (width * height / sampler.wavefront_size()), self._shape(sensor), splat)
 
     def first_hit(self, scene: Scene, ray: Any, active: Bool, from_sensor: Bool | bool = True) -> SurfaceInteraction3f:
         """The first surface point along rays, which pass through emitters `from_sensor` if these are hidden."""

@@ -10,6 +10,7 @@ from djpt.core.records import SHADOW_EPSILON, EmitterFlags, Interaction3f, has_f
 from djpt.integrators.projective.detail import FAR, seen_through
 from djpt.integrators.projective.outlines import Outlines
 from djpt.integrators.projective.receivers import Receiver
+from djpt.integrators.projective.splat import keep
 from djpt.jit.types import Color3f, Point2f, Point3f, UInt32
 
 __all__ = ["ShadowEdges"]
@@ -54,6 +55,7 @@ class ShadowEdges:
             active = active & reached
             across = dr.norm(dr.cross(ss.d, ss.silhouette_d))
             weight = dr.select(active, importance * arriving * (across * dr.rcp(ss.pdf)), 0)
+            keep(ss, active, weight, ds.dist, place, edges, viewer)
         receiver = Receiver(integrator, scene, sensor, ss, place, edges, viewer, active)
         speed = receiver.speed_at_edge(ds.dist) - dr.dot(self._outlines.follow(ss, active) - ss.p, ss.n)
         if self._moves:
