@@ -84,7 +84,7 @@ class Case:
     spp_difference: int = 4096
     settings: dict[str, Any] = field(default_factory=dict)
     thorough: bool = False
-    """Whether the guide has the default effort: with little, rare samples of great weight are missed, or prevail."""
+    """Whether the guide has much effort: with little, rare samples of great weight are missed, or prevail."""
 
     def scene(self, theta: Float) -> Any:
         """The scene, moved."""
@@ -112,6 +112,8 @@ class Case:
         found = djpt.load_dict({"type": kind, "max_depth": self.depth, **self.settings})
         if not self.thorough:
             found.proj_seed_spp, found.octree_extra_leaf_sample, found.octree_max_depth = 64, 32, 7
+        else:
+            found.proj_seed_spp, found.octree_extra_leaf_sample, found.octree_max_depth = 256, 128, 9
         return found
 
     def forward(self, kind: str, seed: int) -> float:
