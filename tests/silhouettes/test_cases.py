@@ -353,14 +353,8 @@ def placed(name: str, place: Any) -> dict[str, Any]:
 
 
 CASES |= {
-    "an instance over a floor": Case(
-        lambda: {
-            **placed("moving", T().translate([0.3, 0, 0.5]).rotate([0.6, 0.8, 0], 30)),
-            "light": POINT,
-            "floor": {**GREY, "to_world": T().translate([0, 0, -1.5]).scale(4)},
-        },
-        turn("moving.to_world", 20),
-        spp=512,
+    "an instance": Case(
+        lambda: {**placed("moving", T().rotate([0.6, 0.8, 0], 30)), "light": SUN}, shift("moving.to_world"), spp=512
     ),
     "a floor that rises under the shadow of an instance": Case(
         lambda: {
