@@ -43,9 +43,10 @@ class Cuboid(Cube):
         if not (low < high).all():
             found = f"{high.tolist()} and {low.tolist()}"
             raise ParameterError(f"{self.id()}: 'max' must be greater than 'min' in every coordinate, found {found}")
-        self.to_world = self._placed.translate((low + high) / 2).scale((high - low) / 2)
         lanes = getattr(self._placed, "lanes", None)
-        if lanes is not None or dr.grad_enabled(self.min, self.max):
+        if lanes is None and not dr.grad_enabled(self.min, self.max):
+            self.to_world = self._placed.translate((low + high) / 2).scale((high - low) / 2)
+        else:
             from djpt.core.transforms.lanes import Transform4f
             from djpt.shapes.silhouettes.moving import AttachedTransform
 

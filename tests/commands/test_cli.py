@@ -221,7 +221,7 @@ def test_misspelt_commands() -> None:
     code, _, err = run("rendr", "cornell_box")
     assert code == ExitCode.BAD_INPUT
     assert "unknown command 'rendr'; did you mean 'render'? (possible: render, " in err
-    assert "unknown command 'zzz'; possible: animate, bounces, compare" in run("zzz")[2]
+    assert "unknown command 'zzz'; possible: animate, benchmarks, bounces, compare" in run("zzz")[2]
 
 
 @pytest.mark.parametrize(

@@ -47,7 +47,10 @@ def test_the_schedules_of_a_path_tracer_make_its_moments(schedule: str, filter_n
     scene, nested = djpt.load_dict(alone), djpt.load_dict({**alone, "integrator": moment(img=alone["integrator"])})
     color = pixels(djpt.render(scene, spp=16, seed=5, schedule=schedule))
     image = pixels(djpt.render(nested, spp=16, seed=5, schedule=schedule))
-    np.testing.assert_array_equal(image[..., :3], color)
+    if (schedule, filter_name) == ("wave", "tent"):  # more channels than lanes can add up: another order of additions
+        np.testing.assert_allclose(image[..., :3], color, rtol=1e-6)
+    else:
+        np.testing.assert_array_equal(image[..., :3], color)
     # The luminance of the mean, and the second moments of the samples by themselves.
     np.testing.assert_allclose(image[..., 4], color @ [0.212671, 0.715160, 0.072169], rtol=1e-4, atol=1e-6)
     np.testing.assert_allclose(

@@ -318,7 +318,7 @@ def test_edits_in_place_are_noticed() -> None:
 
 def test_unusable_parameters() -> None:
     # Shapes without silhouettes can't follow gradients.
-    params = djpt.traverse(djpt.load_dict({"type": "cone"}))
+    params = djpt.traverse(djpt.load_dict({"type": "torus"}))
     x = djpt.Float(1)
     dr.enable_grad(x)
     for value, message in (

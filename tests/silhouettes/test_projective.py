@@ -217,17 +217,16 @@ def test_errors() -> None:
     _, room = attached("a bright sphere")
     sensor = djpt.load_dict(
         {
-            "type": "thinlens",
-            "aperture_radius": 0.1,
-            "film": {"type": "hdrfilm", "width": 4, "height": 4},
+            "type": "distant",
+            "film": {"type": "hdrfilm", "width": 1, "height": 1, "rfilter": {"type": "box"}},
             "to_world": T().translate([0, 0, -3]),
         }
     )
     with pytest.raises(
-        RenderError, match="silhouettes are supported for perspective and orthographic cameras only, found"
+        RenderError, match="silhouettes are supported for perspective, thinlens and orthographic cameras only, found"
     ):
         integrator("direct_projective").render_backward(
-            room, None, TensorXf(np.ones((4, 4, 3), np.float32)), sensor, spp=1
+            room, None, TensorXf(np.ones((1, 1, 3), np.float32)), sensor, spp=1
         )
 
 
