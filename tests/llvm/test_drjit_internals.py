@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.geometry.bvh.build.functions import can_compile
+from djpt.geometry.bvh.calls.trees import why_not
 from djpt.jit.llvm import calls, drjit_internals, lanes, masks
 from djpt.jit.llvm.drjit_internals import FUNCTIONS, function, missing
 
@@ -76,3 +78,10 @@ def test_rendering_does_without_any_of_them(name: str, monkeypatch: pytest.Monke
             assert "no calls of functions" in str(calls.reason_against(lambda: bool(calls.bound(name)), "another"))
     finally:
         drjit_internals.function.cache_clear()
+
+
+def test_no_function_fails_to_compile() -> None:
+    """A mistake in the text of one would only make everything slower: `auto` falls back without a word."""
+    assert can_compile()
+    assert why_not("call") is None
+    assert why_not("rings") in (None, "the processor, or Dr.Jit's packets, lack AVX2")
