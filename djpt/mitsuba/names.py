@@ -95,7 +95,8 @@ EXPORTS: dict[str, str] = {
         "ContinuousDistribution DiscreteDistribution IrregularContinuousDistribution"
     ),
     "djpt.mitsuba.distributions": (
-        "DiscreteDistribution2D Hierarchical2D0 Hierarchical2D1 Hierarchical2D2 Hierarchical2D3"
+        "ConditionalIrregular1D ConditionalRegular1D DiscreteDistribution2D Hierarchical2D0 Hierarchical2D1 "
+        "Hierarchical2D2 Hierarchical2D3"
     ),
     "djpt.mitsuba.fresnel": (
         "MicrofacetDistribution MicrofacetType eval_reflectance fresnel fresnel_conductor fresnel_diffuse_reflectance "
@@ -144,6 +145,7 @@ SUBMODULES: dict[str, str] = {
     "math_py": "djpt.mitsuba.math",
     "misc": "djpt.mitsuba.misc",
     "quad": "djpt.mitsuba.quad",
+    "spline": "djpt.mitsuba.spline",
     "tensor_io": "djpt.mitsuba.tensor_io",
 }
 """Attributes of `djpt` that are modules, with the modules that they stand for."""
@@ -163,10 +165,6 @@ BLOCKS = "Blocks of a picture: `djpt.render_to_file` renders pictures band by ba
 COMMAND_LINES = "Command lines: Python has `argparse`."
 COMPRESSION = "Streams that compress: Python's `gzip` works through any stream of djpt, and `zlib` packs bytes."
 DEBUGGER = "A stop in a C++ debugger: Python has `breakpoint`."
-CONDITIONS = (
-    "Densities of one number under conditions serve spectra; `MarginalContinuous2D1` and its kin take parameters."
-)
-SPLINES = "Splines: SciPy has `scipy.interpolate`."
 PLANAR = "Transforms of the line don't exist in Python: Mitsuba raises a TypeError, too."
 
 REASONS: dict[str, str] = {
@@ -174,9 +172,6 @@ REASONS: dict[str, str] = {
     "mueller.*": POLARISATION,
     "srgb_model_*": SPECTRAL,
     "Conditional*1DSpectrum*": SPECTRAL,
-    "Conditional*1D*": CONDITIONS,
-    "spline": SPLINES,
-    "spline.*": SPLINES,
     "Texture.spectral_resolution": SPECTRAL,
     "Texture.wavelength_range": SPECTRAL,
     "TexturePtr.*spectrum": SPECTRAL,

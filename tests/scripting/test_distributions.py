@@ -95,6 +95,49 @@ def test_tables_have_gradients() -> None:
     np.testing.assert_allclose(weights.grad.numpy(), [-3 / 36, 1 / 6 - 3 / 36, -3 / 36], rtol=1e-5)
 
 
+# ---------------------------------------------------------------- conditions
+
+TABLE = np.random.default_rng(4).uniform(0, 2, (2, 3, 4)).astype(np.float32)
+CONDITIONS = [[0.0, 0.4, 1.0], [0.5, 0.9, 2.0]]
+
+CONDITIONAL: list[Callable[[Any, Any], Any]] = [
+    lambda m, d: [d.max(), d.integral_array, d.cdf_array, list(d.pdf.shape), d.pdf.array, d.empty()],
+    lambda m, d: [d.eval_pdf(m.Float(0.3), [m.Float(c) for c in CONDITIONS])],
+    lambda m, d: [d.eval_pdf_normalized(m.Float(1.7), [m.Float(c) for c in CONDITIONS])],
+    lambda m, d: [d.integral([m.Float(c) for c in CONDITIONS])],
+    lambda m, d: d.sample_pdf(m.Float([0.1, 0.5, 0.9]), [m.Float(c) for c in CONDITIONS], True),
+    lambda m, d: [d.eval_pdf(m.Float([-1, 3]), [m.Float(0.5), m.Float(1)])],
+]
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda m: m.ConditionalIrregular1D(
+            m.Float(NODES), m.Float(TABLE.ravel()), [m.Float([0, 1]), m.Float([0.4, 1, 2.5])]
+        ),
+        lambda m: m.ConditionalIrregular1D(
+            m.Float(NODES), m.TensorXf(TABLE), [m.Float([0, 1]), m.Float([0.4, 1, 2.5])]
+        ),
+        lambda m: m.ConditionalRegular1D(m.Float(TABLE.ravel()), [0, 2], [[0, 1], [0.4, 2.5]], [2, 3]),
+        lambda m: m.ConditionalRegular1D(m.TensorXf(TABLE), [0, 2], [[0, 1], [0.4, 2.5]]),
+    ],
+)
+def test_one_number_under_conditions(make: Callable[[Any], Any], mi: Any) -> None:
+    ours, theirs = make(djpt), make(mi)
+    theirs.update()
+    for query in CONDITIONAL:
+        same(lambda m, query=query: query(m, ours if m is djpt else theirs), mi, rtol=5e-5, atol=1e-5)
+
+
+def test_conditions_without_a_table() -> None:
+    assert djpt.ConditionalIrregular1D().empty() and djpt.ConditionalRegular1D().empty()
+    with pytest.raises(ArgumentError, match="2 conditions are needed, found 1"):
+        djpt.ConditionalRegular1D(djpt.TensorXf(TABLE), [0, 2], [[0, 1], [0.4, 2.5]]).integral([0.5])
+    with pytest.raises(ArgumentError, match=r"must have the shape \(2, 4\)"):
+        djpt.ConditionalIrregular1D(NODES, djpt.TensorXf(TABLE), [[0, 1]]).update()
+
+
 # ---------------------------------------------------------------- two numbers
 
 GRIDS = ("Hierarchical2D", "MarginalDiscrete2D", "MarginalContinuous2D")

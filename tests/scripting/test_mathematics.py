@@ -1,4 +1,4 @@
-"""`djpt.math`, `quad`, `math_py`: the same numbers as Mitsuba's."""
+"""`djpt.math`, `quad`, `spline`, `math_py`: the same numbers as Mitsuba's."""
 
 from __future__ import annotations
 
@@ -15,6 +15,9 @@ from djpt.errors import ArgumentError
 from tests.kit.same_calls import same
 
 X = [-0.9, -0.3, 0.0, 0.25, 0.8]
+NODES = [0.0, 0.3, 0.5, 1.1, 2.0]
+RISING = [0.1, 0.2, 0.3, 0.35, 1.0]
+WAVE = [0.5, 1.0, 0.25, 2.0, 0.75]
 
 CALLS: list[Callable[[Any], Any]] = [
     *(lambda m, n=n: m.math.legendre_p(n, X) for n in range(6)),
@@ -43,6 +46,18 @@ CALLS: list[Callable[[Any], Any]] = [
     *(lambda m, n=n: m.quad.composite_simpson(n) for n in (3, 7)),
     *(lambda m, n=n: m.quad.composite_simpson_38(n) for n in (4, 10)),
     lambda m: m.quad.chebyshev(7),
+    *(lambda m, t=t: m.spline.eval_spline(0.2, 1, -1, 3, t) for t in (0.0, 0.3, 1.0)),
+    *(lambda m, t=t: m.spline.eval_spline_d(0.2, 1, -1, 3, t) for t in (0.0, 0.3, 1.0)),
+    *(lambda m, t=t: m.spline.eval_spline_i(0.2, 1, -1, 3, t) for t in (0.0, 0.3, 1.0)),
+    lambda m: m.spline.eval_1d(0.0, 2.0, WAVE, [-0.1, 0, 0.2, 0.9, 1.7, 2, 2.1]),
+    lambda m: m.spline.eval_1d(NODES, WAVE, [-0.1, 0, 0.2, 0.9, 1.7, 2, 2.1]),
+    lambda m: m.spline.eval_1d(nodes=NODES, values=WAVE, x=0.7),
+    lambda m: m.spline.integrate_1d(0.0, 2.0, WAVE),
+    lambda m: m.spline.integrate_1d(NODES, WAVE),
+    lambda m: m.spline.invert_1d(0.0, 2.0, RISING, [0, 0.1, 0.15, 0.32, 0.8, 1, 2]),
+    lambda m: m.spline.invert_1d(NODES, RISING, [0, 0.1, 0.15, 0.32, 0.8, 1, 2]),
+    lambda m: m.spline.sample_1d(0.0, 2.0, WAVE, m.spline.integrate_1d(0.0, 2.0, WAVE), [0, 0.1, 0.5, 0.95]),
+    lambda m: m.spline.sample_1d(NODES, WAVE, m.spline.integrate_1d(NODES, WAVE), [0, 0.1, 0.5, 0.95]),
 ]
 
 
@@ -77,6 +92,29 @@ def test_errors_of_expectations_add_to_the_variance() -> None:
     assert wide == pytest.approx(plain / 2)
 
 
+# Mitsuba's `eval_spline_weights` and `eval_2d` end the process in its variants with Dr.Jit.
+
+
+def test_weights_of_a_spline_give_its_values() -> None:
+    x = [0.05, 0.4, 0.9, 1.9]
+    for grid in ((0.0, 2.0, 5), (NODES,)):
+        inside, first, weights = djpt.spline.eval_spline_weights(*grid, x)
+        assert dr.all(inside)
+        total = sum(
+            w * dr.gather(djpt.Float, djpt.Float(WAVE), djpt.UInt32(first + k), w != 0) for k, w in enumerate(weights)
+        )
+        expected = djpt.spline.eval_1d(*(grid[:2] if len(grid) == 3 else grid), WAVE, x)
+        np.testing.assert_allclose(total.numpy(), expected.numpy(), rtol=1e-5)
+
+
+def test_splines_of_two_variables_are_products() -> None:
+    x, y = [0.1, 0.3, 0.5, 0.2], [0.0, 0.4, 2.0, 3.0]
+    nodes, along = NODES[:3], WAVE[:3]
+    values = [a * b for b in RISING for a in along]
+    expected = djpt.spline.eval_1d(nodes, along, x) * djpt.spline.eval_1d(NODES, RISING, y)
+    np.testing.assert_allclose(djpt.spline.eval_2d(nodes, NODES, values, x, y).numpy(), expected.numpy(), rtol=1e-5)
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [
@@ -84,6 +122,9 @@ def test_errors_of_expectations_add_to_the_variance() -> None:
         (lambda: djpt.quad.gauss_lobatto(1), "gauss_lobatto.*>= 2, found 1"),
         (lambda: djpt.quad.composite_simpson(4), "composite_simpson.*odd, found 4"),
         (lambda: djpt.quad.composite_simpson_38(5), "composite_simpson_38.*divisible by 3, found 5"),
+        (lambda: djpt.spline.eval_1d([0, 1, 2], [0, 1], 0.5), "found 2 values, and 3 nodes"),
+        (lambda: djpt.spline.eval_1d(1, 2), r"eval_1d\(\) takes \(min, max, values, x\) or \(nodes, values, x\)"),
+        (lambda: djpt.spline.sample_1d(0, 1, WAVE, [1, 2], 0.5), "must have the same size, found 5, 2"),
         (lambda: djpt.math.legendre_p(1, 2, 3, 4), "found 4 arguments"),
     ],
 )
