@@ -1,0 +1,532 @@
+"""The gradient matrix: derivatives of small images by each kind of parameter, each compared with central differences.
+
+A cell is a scene and a number theta that some of its parameters depend on. Its derivative is that of a weighted sum of
+pixels. It is right if it is that of central differences at the same seeds, within 3 per cent or 4 standard errors, or
+refused with a reason; anything else is wrong.
+"""
+
+from __future__ import annotations
+
+import atexit
+import functools
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import drjit as dr
+import numpy as np
+
+import djpt
+from djpt.core.transforms import ScalarTransform4f as T
+from djpt.errors import ParameterError, RenderError
+from djpt.jit.types import Float, TensorXf
+from tests.kit import emitters, materials
+from tests.silhouettes.test_projective import globe
+
+__all__ = ["CELLS", "Cell", "Outcome"]
+
+SIZE = 12
+COLUMN = np.linspace(-1, 1, SIZE)
+WEIGHTS = np.broadcast_to(
+    1 + 0.5 * np.sin(2 * COLUMN[None, :, None] + 1) + 0.3 * COLUMN[:, None, None], (SIZE, SIZE, 3)
+)
+"""The weights of pixels: the derivative of no pixel cancels that of another for reasons of symmetry."""
+
+Node = dict[str, Any]
+Edit = Callable[[Any, Float], None]
+"""Makes parameters depend on theta."""
+
+SEEDS, MOST_SEEDS = 4, 32
+"""The number of seeds to start with, and the largest one."""
+
+PRECISE, NOTHING = 0.03, 1e-3
+"""The standard error at which no more seeds are needed, relative to the derivative, or to the sum of pixels."""
+
+
+QUICK = {"proj_seed_spp": 256, "octree_max_depth": 7}
+"""The settings of guides of little effort: derivatives are right with any."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What was found of a cell."""
+
+    verdict: str
+    """``right``, ``refused``, ``noisy`` (it may be right, but the error is too large to tell) or ``wrong``."""
+    found: float = np.nan
+    expected: float = np.nan
+    error: float = np.nan
+    """The standard error of the difference of the two."""
+    reason: str = ""
+    """Why it is refused."""
+
+    @property
+    def z(self) -> float:
+        """The difference in standard errors."""
+        return (self.found - self.expected) / self.error if self.error > 0 else 0.0
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A derivative."""
+
+    group: str
+    name: str
+    nodes: Callable[[], Node]
+    """The scene's entries, but for the camera."""
+    edit: Edit
+    integrator: Node
+    step: float = 0.04
+    spp: int = 2048
+    camera: Callable[[], Node] = field(default=lambda: camera())
+
+    @property
+    def label(self) -> str:
+        """A name among all cells."""
+        return f"{self.group}: {self.name}, {self.integrator['type']}"
+
+    def measured(self) -> Outcome:
+        """The comparison of the derivative with differences."""
+        try:
+            scene = Scene(self)
+            found, expected = [], []
+            while True:
+                for seed in range(len(found), max(SEEDS, 2 * len(found))):
+                    found.append(scene.forward(2 * seed + 101))
+                    expected.append(scene.difference(seed))
+                error = float(np.hypot(*(np.std(v, ddof=1) / np.sqrt(len(v)) for v in (found, expected))))
+                mean, wanted = float(np.mean(found)), float(np.mean(expected))
+                precise = error <= max(PRECISE * abs(wanted), NOTHING * scene.brightness())
+                if precise or len(found) >= MOST_SEEDS:
+                    break
+        except (ParameterError, RenderError) as refusal:
+            return Outcome("refused", reason=str(refusal))
+        right = abs(mean - wanted) <= max(4 * error, 0.03 * abs(wanted))
+        return Outcome(("right" if precise else "noisy") if right else "wrong", mean, wanted, error)
+
+
+class Scene:
+    """The scene of a cell, whose parameters are functions of theta."""
+
+    def __init__(self, cell: Cell) -> None:
+        nodes = {"type": "scene", "integrator": cell.integrator, "sensor": cell.camera(), **cell.nodes()}
+        self.cell, self.scene = cell, djpt.load_dict(nodes, optimize=False)
+        for name, value in QUICK.items():
+            if cell.integrator["type"].endswith("projective"):
+                setattr(self.scene.integrator(), name, value)
+        self.params = djpt.traverse(self.scene)
+        self.start = Start(self.params)
+        # The same light, by kernels that compile faster.
+        plain = {"type": "volpath" if "vol" in cell.integrator["type"] else "path"}
+        self.plain = djpt.load_dict({**plain, "max_depth": cell.integrator.get("max_depth", 2)})
+
+    def loss(self, theta: Float, seed: int, integrator: Any = None) -> Any:
+        """The weighted sum of pixels."""
+        self.cell.edit(self.start, theta)
+        self.params.update()
+        image = djpt.render(self.scene, self.params, integrator=integrator, spp=self.cell.spp, seed=seed)
+        return dr.sum(image * TensorXf(WEIGHTS.astype(np.float32)), axis=None)
+
+    def forward(self, seed: int) -> float:
+        """The derivative by forward mode."""
+        theta = Float(0)
+        dr.enable_grad(theta)
+        dr.set_grad(theta, 1.0)
+        return float(np.array(dr.forward_to(self.loss(theta, seed))).ravel()[0])
+
+    def difference(self, seed: int) -> float:
+        """The derivative by central differences with two steps, and Richardson's extrapolation."""
+        h = self.cell.step
+        at = {x: float(np.array(self.loss(Float(x), seed, self.plain)).ravel()[0]) for x in (-h, -h / 2, h / 2, h)}
+        return (8 * (at[h / 2] - at[-h / 2]) - (at[h] - at[-h])) / (6 * h)
+
+    def brightness(self) -> float:
+        """The loss itself."""
+        return float(np.array(self.loss(Float(0), 1, self.plain)).ravel()[0])
+
+
+class Start(Mapping[str, Any]):
+    """The parameters as they were at first, for reading; those of the scene, for writing."""
+
+    def __init__(self, params: Any) -> None:
+        self._params, self._first = params, {key: params[key] for key in params}
+
+    def __getitem__(self, key: str) -> Any:
+        return self._first[key]
+
+    def __setitem__(self, key: str, value: Any) -> None:
+        self._params[key] = value
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._first)
+
+    def __len__(self) -> int:
+        return len(self._first)
+
+
+# ---------------------------------------------------------------- what depends on theta
+
+
+def moved(key: str, motion: Callable[[Float], Any]) -> Edit:
+    """A transform, or the vertices of a mesh, after a motion."""
+
+    def edit(params: Any, theta: Float) -> None:
+        node = key.rpartition(".")[0]
+        if key in params:
+            params[key] = motion(theta) @ djpt.Transform4f(params[key])
+        elif f"{node}.vertex_positions" in params:
+            points = dr.unravel(djpt.Point3f, Float(params[f"{node}.vertex_positions"]))
+            params[f"{node}.vertex_positions"] = dr.ravel(motion(theta).transform_point(points))
+        else:
+            raise RenderError(f"'{node}' has no place that can be differentiated")
+
+    return edit
+
+
+def shift(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Callable[[Float], Any]:
+    return lambda theta: djpt.Transform4f().translate([x * theta, y * theta, z * theta])
+
+
+def turn(axis: tuple[float, float, float], degrees: float = 40.0) -> Callable[[Float], Any]:
+    return lambda theta: djpt.Transform4f().rotate(list(axis), degrees * theta)
+
+
+def grown(theta: Float) -> Any:
+    return djpt.Transform4f().scale([1 + theta, 1 + theta, 1 + theta])
+
+
+def changed(key: str) -> Edit:
+    """Numbers of a parameter, of which each changes in proportion to its size, some more and some less."""
+
+    def edit(params: Any, theta: Float) -> None:
+        value = params[key]
+        numbers = np.array(value, np.float64)
+        slope = np.random.default_rng(0).uniform(0.5, 1, numbers.shape) * np.maximum(np.abs(numbers), 0.1)
+        # Off the ends of all ranges.
+        start, slope = ((0.8 * numbers + 0.04).astype(np.float32), (0.5 * slope).astype(np.float32))
+        kind = type(value)
+        wide = kind(start) if numbers.ndim != 0 else kind(float(start))
+        params[key] = (
+            wide + kind(slope) * theta if not dr.is_tensor_v(kind) else wide + TensorXf(slope) * TensorXf(theta)
+        )
+
+    return edit
+
+
+# ---------------------------------------------------------------- scenes
+
+
+def camera(**more: Any) -> Node:
+    """A camera that looks down at an angle."""
+    film = {"type": "hdrfilm", "width": SIZE, "height": SIZE, "rfilter": {"type": "box"}, "pixel_format": "rgb"}
+    place = T().look_at([1.5, -2.5, 6], [0, 0, 0.3], [0, 1, 0])
+    return {"type": "perspective", "fov": 38, "to_world": place, "film": film, **more}
+
+
+def spots(seed: int = 0) -> Node:
+    data = 0.2 + 0.7 * np.random.default_rng(seed).random((5, 5, 3), np.float32)
+    return {"type": "bitmap", "data": TensorXf(data), "raw": True}
+
+
+def sky() -> Node:
+    """A smooth environment."""
+    row, column = np.arange(16)[:, None, None], np.arange(32)[None, :, None]
+    radiance = 0.3 + np.abs(np.sin(0.3 * row + column * (np.pi / 16))) * np.ones((1, 1, 3))
+    return {"type": "envmap", "bitmap": djpt.Bitmap(radiance.astype(np.float32))}
+
+
+@functools.cache
+def globe_file() -> str:
+    """A PLY file of a smooth sphere."""
+    path = Path(tempfile.mkdtemp(prefix="djpt-")) / "globe.ply"
+    atexit.register(shutil.rmtree, path.parent, ignore_errors=True)
+    globe().write_ply(path)
+    return str(path)
+
+
+FLOOR = {
+    "type": "rectangle",
+    "to_world": T().translate([0, 0, -1]).scale(5),
+    "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.6, 0.5, 0.4]}},
+}
+LIGHTS: dict[str, Callable[[], Node]] = {
+    "lamp": lambda: {
+        "light": {
+            "type": "sphere",
+            "center": [2.5, 2, 5],
+            "radius": 0.7,
+            "emitter": {"type": "area", "radiance": 20.0},
+        }
+    },
+    "point": lambda: {"light": {"type": "point", "position": [2.5, 2, 5], "intensity": 30.0}},
+    "parallel": lambda: {"light": {"type": "directional", "direction": [-0.5, -0.4, -1], "irradiance": 2.0}},
+    "sky": lambda: {"light": {"type": "constant", "radiance": 0.8}},
+    "map": lambda: {"light": sky()},
+}
+TILTED = T().translate([0.2, 0.1, 0.4]).rotate([0.48, 0.6, 0.64], 50).scale(0.6)
+SHAPES: dict[str, Callable[[], Node]] = {
+    "sphere": lambda: {"type": "sphere", "center": [0.2, 0.1, 0.4], "radius": 0.8},
+    "disk": lambda: {"type": "disk", "to_world": T().translate([0.2, 0.1, 0.4]).rotate([0.8, 0.6, 0], 20)},
+    "rectangle": lambda: {"type": "rectangle", "to_world": T().translate([0.2, 0.1, 0.4]).rotate([0.8, 0.6, 0], 20)},
+    "cylinder": lambda: {"type": "cylinder", "p0": [-0.6, 0, 0.3], "p1": [0.7, 0.2, 0.5], "radius": 0.4},
+    "cube": lambda: {
+        "type": "cube",
+        "to_world": T().translate([0.2, 0.1, 0.4]).rotate([0.48, 0.6, 0.64], 50).scale(0.6),
+    },
+    "mesh": lambda: {"type": "ply", "filename": globe_file(), "to_world": T().translate([0.2, 0.1, 0.4]).scale(0.8)},
+    "cone": lambda: {"type": "cone", "to_world": T().translate([0.2, 0.1, 0]).scale(0.8)},
+    "torus": lambda: {"type": "torus", "to_world": T().translate([0.2, 0.1, 0.4]).scale(0.8)},
+    "paraboloid": lambda: {"type": "paraboloid", "to_world": T().translate([0.2, 0.1, 0]).scale(0.7)},
+    "cuboid": lambda: {
+        "type": "cuboid",
+        "to_world": T().translate([0.2, 0.1, 0.4]).rotate([0.48, 0.6, 0.64], 50).scale(0.6),
+    },
+}
+MOTIONS: dict[str, Callable[[Float], Any]] = {
+    "aside": shift(0.8, 0.3),
+    "up": shift(0, 0, 1),
+    "turn": turn((0.64, 0.6, 0.48)),
+    "grow": grown,
+}
+SURFACES: dict[str, Callable[[], Node]] = {
+    "diffuse": lambda: {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.8, 0.5, 0.3]}},
+    "textured": lambda: {"type": "diffuse", "reflectance": spots()},
+    "checkerboard": lambda: {"type": "diffuse", "reflectance": {"type": "checkerboard"}},
+    "rough metal": lambda: {"type": "roughconductor", "alpha": 0.3},
+    "rough glass": lambda: {"type": "roughdielectric", "alpha": 0.3},
+    "plastic": lambda: {"type": "plastic"},
+    "rough plastic": lambda: {"type": "roughplastic", "alpha": 0.3},
+    "principled": lambda: {"type": "principled", "roughness": 0.5, "metallic": 0.5, "base_color": spots()},
+    "mirror": lambda: {"type": "conductor"},
+    "glass": lambda: {"type": "dielectric"},
+    "mask": lambda: {"type": "mask", "opacity": 0.5, "nested": {"type": "diffuse"}},
+    "null": lambda: {"type": "null"},
+    "normal map": lambda: {
+        "type": "normalmap",
+        "normalmap": materials.bitmap(materials.normals(4, 4)),
+        "nested": {"type": "diffuse"},
+    },
+}
+DIRECT = {"type": "direct_projective"}
+PATHS = {"type": "prb_projective", "max_depth": 3}
+
+
+def stage(light: str, **nodes: Callable[[], Node] | Node) -> Callable[[], Node]:
+    """A floor, a light and other things."""
+
+    def make() -> Node:
+        return {"floor": FLOOR, **LIGHTS[light](), **{k: n() if callable(n) else n for k, n in nodes.items()}}
+
+    return make
+
+
+def body(shape: str, surface: str) -> Callable[[], Node]:
+    return lambda: {**SHAPES[shape](), "bsdf": SURFACES[surface]()}
+
+
+# ---------------------------------------------------------------- the cells
+
+
+def moving_shapes() -> Iterator[Cell]:
+    """Each shape under each light, and each motion."""
+    for shape in SHAPES:
+        for light in LIGHTS:
+            yield Cell(
+                "a shape that moves",
+                f"{shape}, aside, {light}",
+                stage(light, body=body(shape, "diffuse")),
+                moved("body.to_world", MOTIONS["aside"]),
+                DIRECT,
+            )
+        for motion in ("up", "turn", "grow"):
+            yield Cell(
+                "a shape that moves",
+                f"{shape}, {motion}, lamp",
+                stage("lamp", body=body(shape, "diffuse")),
+                moved("body.to_world", MOTIONS[motion]),
+                DIRECT,
+            )
+
+
+def moving_surfaces() -> Iterator[Cell]:
+    """Each material on a ball and a mesh that move, in direct and in indirect light."""
+    for surface in SURFACES:
+        for shape, light, integrator in (("sphere", "lamp", DIRECT), ("mesh", "map", DIRECT), ("sphere", "sky", PATHS)):
+            yield Cell(
+                "a material that moves",
+                f"{surface}, {shape}, {light}",
+                stage(light, body=body(shape, surface)),
+                moved("body.to_world", MOTIONS["aside"]),
+                integrator,
+            )
+
+
+def moving_receivers() -> Iterator[Cell]:
+    """A floor that rises under a shadow."""
+    for light in LIGHTS:
+        yield Cell(
+            "a floor that rises",
+            light,
+            stage(light, body=body("sphere", "diffuse")),
+            moved("floor.to_world", MOTIONS["up"]),
+            DIRECT,
+        )
+
+
+def moving_lights() -> Iterator[Cell]:
+    """Lights that move."""
+    down = T().look_at([2.5, 2, 5], [0, 0, 0], [0, 1, 0])
+    cases: dict[str, tuple[Node, str, Callable[[Float], Any]]] = {}
+    shining = {"emitter": {"type": "area", "radiance": 20.0}}
+    for shape in ("sphere", "disk", "rectangle", "cylinder", "mesh"):
+        place = T().translate([2.5, 2, 5]).rotate([0, 1, 0], 200).scale(0.7)
+        node = {**SHAPES[shape](), **shining}
+        for key in ("center", "radius", "p0", "p1"):
+            node.pop(key, None)
+        cases[f"a lamp, {shape}"] = ({**node, "to_world": place}, "light.to_world", shift(1, 0.4, 0))
+    textured = {"type": "rectangle", "to_world": T().translate([0, 0, 5]).rotate([1, 0, 0], 180)}
+    textured["emitter"] = {"type": "area", "radiance": spots()}
+    cases["a lamp with a texture"] = (textured, "light.to_world", shift(1, 0.4, 0))
+    spot = {"type": "spot", "to_world": down, "intensity": 40.0, "cutoff_angle": 30.0}
+    cases["spot, aside"] = (spot, "light.to_world", shift(1, 0.4, 0))
+    cases["spot, turn"] = (spot, "light.to_world", lambda t: shift(0, 0, 0)(t) @ turn((0, 1, 0), 10)(t))
+    cases["parallel, turn"] = (LIGHTS["parallel"]()["light"], "light.to_world", turn((0, 1, 0), 20))
+    cases["projector, aside"] = (
+        {"type": "projector", "to_world": down, "scale": 30.0},
+        "light.to_world",
+        shift(1, 0, 0),
+    )
+    cases["map, turn"] = (sky(), "light.to_world", turn((0.48, 0.8, 0.36)))
+    for name, (node, key, motion) in cases.items():
+        for integrator in (DIRECT, PATHS):
+            yield Cell(
+                "a light that moves",
+                name,
+                lambda node=node: {"floor": FLOOR, "light": node, "body": body("sphere", "diffuse")()},
+                moved(key, motion),
+                integrator,
+            )
+    for integrator in (DIRECT, PATHS):
+        yield Cell("a light that moves", "point", stage("point", body=body("sphere", "diffuse")), at_point, integrator)
+
+
+def at_point(params: Any, theta: Float) -> None:
+    params["light.position"] = djpt.Point3f(params["light.position"]) + djpt.Vector3f(theta, 0.4 * theta, 0)
+
+
+def cameras() -> Iterator[Cell]:
+    """Cameras that move or zoom."""
+    kinds: dict[str, tuple[Callable[[], Node], tuple[str, ...]]] = {
+        "perspective": (camera, ("x_fov", "principal_point_offset_x")),
+        "thinlens": (
+            lambda: {**camera(), "type": "thinlens", "aperture_radius": 0.3, "focus_distance": 5.0},
+            ("x_fov", "aperture_radius", "focus_distance"),
+        ),
+        "orthographic": (flat_camera, ()),
+    }
+    motions = {"aside": shift(0.5, 0.2, 0), "near": shift(0, 0, 1), "turn": turn((0.6, 0.8, 0), 10)}
+    for kind, (make, numbers) in kinds.items():
+        edits = {name: moved("sensor.to_world", motion) for name, motion in motions.items()}
+        edits |= {number: number_of_camera(f"sensor.{number}") for number in numbers}
+        for name, edit in edits.items():
+            for light, integrator in (("point", DIRECT), ("map", PATHS)):
+                yield Cell(
+                    "a camera",
+                    f"{kind}, {name}, {light}",
+                    stage(light, body=body("sphere", "textured")),
+                    edit,
+                    integrator,
+                    camera=make,
+                )
+
+
+def number_of_camera(key: str) -> Edit:
+    def edit(params: Any, theta: Float) -> None:
+        value = float(np.array(params[key]).ravel()[0])
+        params[key] = Float(value) + max(abs(value), 0.2) * theta
+
+    return edit
+
+
+def flat_camera() -> Node:
+    node = {**camera(), "type": "orthographic"}
+    node["to_world"] = node["to_world"] @ T().scale([2.5, 2.5, 1])
+    del node["fov"]
+    return node
+
+
+def parameters() -> Iterator[Cell]:
+    """All differentiable parameters of materials, lights and media that aren't places."""
+    groups: list[tuple[str, str, str, dict[str, Callable[[], Node]]]] = [
+        ("a material", "body.bsdf.", "prb", {name: shaded(name) for name in first_of(materials)}),
+        ("a light", "light.", "prb", {name: lit(name) for name in first_of(emitters)}),
+        ("a medium", "body.interior_medium.", "prbvolpath", {name: filled(name) for name in MEDIA}),
+    ]
+    for group, start, kind, scenes in groups:
+        for name, nodes in scenes.items():
+            for key in differentiable(nodes, start):
+                integrator = {"type": kind, "max_depth": 5}
+                yield Cell(group, f"{name}, {key[len(start) :]}", nodes, changed(key), integrator, step=0.02, spp=8192)
+
+
+PLACES = ("to_world", "position", "vertex_positions", "vertex_normals", "sun_direction")
+"""The ends of keys of parameters that are places."""
+
+
+def shaded(name: str) -> Callable[[], Node]:
+    return stage(
+        "lamp", fill=LIGHTS["sky"]()["light"], body=lambda: {**SHAPES["sphere"](), "bsdf": materials.bsdf(name)}
+    )
+
+
+def lit(name: str) -> Callable[[], Node]:
+    return lambda: {"floor": FLOOR, "body": body("sphere", "diffuse")(), "light": emitters.entry(name)}
+
+
+def filled(name: str) -> Callable[[], Node]:
+    ball = lambda: {**SHAPES["sphere"](), "bsdf": {"type": "null"}, "interior": MEDIA[name]()}  # noqa: E731
+    return stage("lamp", fill=LIGHTS["sky"]()["light"], body=ball)
+
+
+MEDIA: dict[str, Callable[[], Node]] = {
+    "homogeneous": lambda: {
+        "type": "homogeneous",
+        "albedo": {"type": "rgb", "value": [0.8, 0.6, 0.4]},
+        "sigma_t": 1.5,
+        "phase": {"type": "hg", "g": 0.4},
+    },
+    "heterogeneous": lambda: {
+        "type": "heterogeneous",
+        "albedo": 0.7,
+        "sigma_t": {
+            "type": "gridvolume",
+            "grid": djpt.VolumeGrid(0.2 + 0.8 * np.random.default_rng(0).random((4, 4, 4, 1), np.float32)),
+            "to_world": T().translate([-0.6, -0.7, -0.4]).scale(1.6),
+        },
+        "scale": 2.0,
+    },
+}
+
+
+def first_of(kit: Any) -> list[str]:
+    """The first parameter set of each plugin."""
+    return list({kit.plugin_of(name): name for name in reversed(kit.NAMES)}.values())
+
+
+def differentiable(nodes: Callable[[], Node], start: str) -> list[str]:
+    """The keys of a scene's parameters that have derivatives and aren't places."""
+    params = djpt.traverse(djpt.load_dict({"type": "scene", "sensor": camera(), **nodes()}, optimize=False))
+    keys = (key for key in params if key.startswith(start) and params.flags(key).differentiable)
+    return [key for key in keys if not key.endswith(PLACES)]
+
+
+def all_cells() -> dict[str, Cell]:
+    """All cells by label."""
+    parts = (moving_shapes, moving_surfaces, moving_receivers, moving_lights, cameras, parameters)
+    return {cell.label: cell for part in parts for cell in part()}
+
+
+CELLS = all_cells()
