@@ -7,7 +7,6 @@ import pytest
 from tests.gradients.matrix import CELLS
 
 QUICK = (
-    "a shape that moves: cube, grow, lamp, direct_projective",
     "a camera: perspective, aside, point, direct_projective",
     "a light that moves: map, turn, direct_projective",
     "a material: roughplastic-colour, diffuse_reflectance.value, prb",
