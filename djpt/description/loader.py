@@ -271,7 +271,10 @@ class Loader:
 
         merging = replace(self.merging, keys=described) if self.optimize else None
         props = Properties(name, where, values, self._own_name(path) or name, place, merging)
-        plugin: Any = factory(props)
+        try:
+            plugin: Any = factory(props)
+        except SceneError as error:
+            raise props.placed(error) from None
         if not isinstance(plugin, Plugin):
             raise SceneError(f"{where}: the factory of '{name}' returned {describe(plugin)}, not a djpt.Plugin")
         props.check_all_used()

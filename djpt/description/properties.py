@@ -179,6 +179,16 @@ class Properties(Entries):
         except DjptError as error:
             raise self.error(key, str(error)) from None
 
+    def placed(self, error: SceneError) -> SceneError:
+        """The same error, with the node in front if its message names neither the node nor one of its entries.
+
+        What the constructor of a plugin calls, transforms for instance, doesn't know whose numbers it was given.
+        """
+        text = str(error)
+        if any(place in text for place in {self.node, *map(self._place, self._values)}):
+            return error
+        return SceneError(f"{self.node}: {text}")
+
     def _place(self, key: str) -> str:
         return self.node if self._place_of is None else self._place_of(key)
 

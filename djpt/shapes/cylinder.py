@@ -51,7 +51,7 @@ class Cylinder(Revolution):
         radius = props.float("radius", 1.0, low=0.0, low_open=True)
         if not (p1 - p0).any():
             raise SceneError(f"{props.node}: 'p0' and 'p1' are the same point {p0.tolist()}")
-        self.stretch(along(p0, p1, radius), props.node)
+        self.stretch(along(p0, p1 - p0, radius), props.node)
 
     # ---- on the host ---------------------------------------------------------------
 

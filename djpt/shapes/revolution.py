@@ -43,8 +43,7 @@ class Revolution(Shape):
         """Let the shape start at a point, and reach a length and a radius along `axis`; that must not be zero."""
         if not axis.any():
             raise props.error("axis", "has length 0")
-        end = start + axis * (length / float(np.linalg.norm(axis)))
-        self.stretch(along(start, end, radius), props.node)
+        self.stretch(along(start, axis * (length / float(np.linalg.norm(axis))), radius), props.node)
 
     def misfit(self, matrix: NDArray[np.float64]) -> str | None:
         lengths = np.linalg.norm(matrix[:3, :3], axis=0)
@@ -151,17 +150,18 @@ class Revolution(Shape):
         return dr.select(length > 0, around * dr.rsqrt(length), self.axis_y)
 
 
-def along(start: NDArray[np.float64], end: NDArray[np.float64], radius: float) -> ScalarTransform4f:
-    """The affine map that takes the segment (0, 0, 0) (0, 0, 1) to `start` `end`, and scales by `radius` across it.
+def along(start: NDArray[np.float64], extent: NDArray[np.float64], radius: float) -> ScalarTransform4f:
+    """The affine map that takes the segment (0, 0, 0) (0, 0, 1) to `start` and `start + extent`.
 
-    x and y are Mitsuba's choice: Duff's frame, see `djpt.core.frame`, in double precision.
+    It scales by `radius` across the segment. x and y are Mitsuba's choice: Duff's frame, see `djpt.core.frame`, in
+    double precision.
     """
-    z = (end - start) / np.linalg.norm(end - start)
+    z = extent / np.linalg.norm(extent)
     sign = math.copysign(1.0, z[2])
     a = -1 / (sign + z[2])
     b = z[0] * z[1] * a
     matrix = np.eye(4)
     matrix[:3, 0] = radius * np.array([1 + sign * z[0] ** 2 * a, sign * b, -sign * z[0]])
     matrix[:3, 1] = radius * np.array([b, sign + z[1] ** 2 * a, -z[1]])
-    matrix[:3, 2], matrix[:3, 3] = end - start, start
+    matrix[:3, 2], matrix[:3, 3] = extent, start
     return ScalarTransform4f(matrix)

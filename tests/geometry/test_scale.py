@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 import djpt
+from djpt.core.records import RAY_EPSILON
 from djpt.core.transforms import ScalarTransform4f as T
 from djpt.scene.normalization.normalized_scene import normalized_scene
 from tests.kit.placed_scenes import PLACED, Place, closed_room, huge_sphere, path
@@ -31,10 +32,16 @@ def image(description: dict[str, Any], **options: Any) -> NDArray[np.float32]:
 
 
 def check_means(name: str, where: Sequence[Place]) -> None:
-    """The means of images within 0.1 % of that of the scene at unit size, with equal seeds."""
+    """The means of images within 0.1 % of that of the scene at unit size, with equal seeds.
+
+    Scenes a little smaller than that are rendered at their own scale, and rays leave surfaces by Mitsuba's offset, which
+    doesn't shrink with them: chords of a ball of fog of radius 0.03 are wrong by up to 0.3 %.
+    """
     reference = image(PLACED[name](Place()), spp=256).mean()
-    means = np.array([image(PLACED[name](place), spp=256).mean() for place in where])
-    np.testing.assert_allclose(means, reference, rtol=1e-3)
+    for place in where:
+        offset = RAY_EPSILON / place.scale if 0.01 < place.scale < 1 else 0.0
+        mean = image(PLACED[name](place), spp=256).mean()
+        np.testing.assert_allclose(mean, reference, rtol=1e-3 + offset, err_msg=str(place))
 
 
 @pytest.mark.parametrize("name", ["cornell", "balls", "huge sphere"])

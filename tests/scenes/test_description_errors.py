@@ -229,3 +229,24 @@ def test_no_value_crashes(place: tuple[str, str], value: Any) -> None:
         djpt.load_dict({"type": name, key: value})
     except SceneError as error:
         assert str(error).startswith(name) and len(str(error)) < 2000
+
+
+@pytest.mark.parametrize(
+    "numbers",
+    [
+        {"type": "cylinder", "p0": [0, 0, 1e38], "p1": [0, 0, -3e38]},
+        {"type": "cone", "angle": 89.9999999, "length": 3e38},
+        {"type": "sphere", "center": [1e38, 0, 0], "to_world": T().scale(10)},
+        {"type": "radiancemeter", "origin": [3e38, 0, 0], "direction": [1, 0, 0]},
+    ],
+    ids=lambda numbers: numbers["type"],
+)
+def test_errors_of_transforms_name_the_plugin(numbers: dict[str, Any]) -> None:
+    """The transform that a constructor makes of numbers doesn't know whose they are."""
+    with pytest.raises(SceneError, match=f"^{numbers['type']}: "):
+        djpt.load_dict(numbers)
+
+
+def test_solids_may_be_small_beside_their_distance() -> None:
+    far = djpt.load_dict({"type": "paraboloid", "vertex": [0, 0, 2.0**53]})
+    np.testing.assert_allclose(far.to_world.matrix[:3, :3], np.eye(3))
