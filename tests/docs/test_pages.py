@@ -58,7 +58,8 @@ def test_djpt_is_imported_before_drjit(page: str) -> None:
 def test_the_documentation_builds_without_warnings(tmp_path: Path) -> None:
     for module in ("sphinx", "myst_parser", "furo", "sphinx-mathjax-offline"):
         pytest.importorskip(module)
-    done = run_python("-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html", str(DOCS), str(tmp_path / "html"))
+    arguments = ("-q", "-W", "--keep-going", "-b", "html", str(DOCS), str(tmp_path / "html"))
+    done = run_python("-m", "sphinx", *arguments, timeout=600)
     assert done.returncode == 0, done.stderr
     pages = [path.read_text() for path in (tmp_path / "html").rglob("*.html")]
     fetched = [

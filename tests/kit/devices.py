@@ -31,6 +31,7 @@ IMAGES = (
     "environment map",
     "features",
     "light paths",
+    "both ends",
     "textures",
     "meshes",
     "meshes, lanes as pixels",
