@@ -75,6 +75,10 @@ class Buffer:
         if dr.grad_enabled(*parts):
             self._memory: Any = dr.concat(parts) if len(parts) > 1 else parts[0]
             dr.make_opaque(self._memory)
+        elif len(parts) == 1 and self.channels != self._size:
+            # The padded numbers themselves. Without padding they would be the tensor's own memory, not a copy.
+            self._memory = parts[0]
+            dr.make_opaque(self._memory)
         else:
             self._memory = dr.zeros(Float, self.size)
             first = 0
