@@ -65,6 +65,7 @@ if TYPE_CHECKING:
     from djpt.core.transforms.lanes import AffineTransform4f as AffineTransform4f
     from djpt.core.transforms.lanes import Transform3f as Transform3f
     from djpt.core.transforms.lanes import Transform4f as Transform4f
+    from djpt.description.animation import AnimatedTransform4f as AnimatedTransform4f
     from djpt.description.loader import load_dict as load_dict
     from djpt.description.loader import load_file as load_file
     from djpt.description.loader import load_string as load_string

@@ -70,6 +70,8 @@ class Integrator(Plugin):
     """True if emitters are asked for directions; else `check_scene` warns of those that no path meets."""
     starts_at_lights = False
     """True if rays are traced from emitters: the only way to show those that shine in one direction only."""
+    follows_motion = True
+    """True if the rays of a path keep the time of its sample. Else what moves is rendered as a mean of still scenes."""
     differentiable = True
     """True if its code can be differentiated; else `render` refuses parameters with gradients."""
     emitter_choice = "uniform"

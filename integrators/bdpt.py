@@ -374,7 +374,7 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
         Where rays search a tree or go through media, light that adds little to the `radiance` so far is followed by
         chance.
         """
-        if (scene.geometry.triangles is None and not scene.media.scatter) or self.strategies:
+        if (not scene.geometry.has_trees and not scene.media.scatter) or self.strategies:
             return transmittance(scene, sampler, ray, value, to_emitter=False)
         chance = minimum(dr.max(value) * weight * dr.rcp(LITTLE * dr.max(radiance)), 1)
         survives = sampler.next_1d() < chance

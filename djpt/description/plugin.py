@@ -173,6 +173,10 @@ class Plugin(Holder):
     it converts by `Scene.units`. Counts for the class that says so, not for those derived from it; a class with a
     `move_into` of its own needn't say it."""
 
+    motion: Any = None
+    """The animated transform of what moves, an `AnimatedTransform4f`: its own space then is what `to_world` and all
+    else refer to."""
+
     _id: str = ""
 
     def __init__(self, props: Properties | Plugin | None = None) -> None:
@@ -185,6 +189,11 @@ class Plugin(Holder):
     def set_id(self, id: str) -> None:
         """Give the plugin another name."""
         self._id = id
+
+    @property
+    def placing(self) -> Any:
+        """What `traverse` reports as `to_world`: the transform, or the animated one of what moves."""
+        return self.to_world if self.motion is None else self.motion  # type: ignore[attr-defined]
 
     def class_name(self) -> str:
         """The name of the plugin's class."""
@@ -427,6 +436,11 @@ class Endpoint(Plugin):
         super().__init__(props)
 
     # ---- where it is --------------------------------------------------------------------------
+
+    @property
+    def carrier(self) -> Any:
+        """The animated transform that moves it, its own or that of its shape; None if it stays."""
+        return self.motion if self.shape is None else self.shape.motion
 
     def get_shape(self) -> Any:
         """The shape that it stands in, or None."""

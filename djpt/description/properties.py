@@ -158,6 +158,8 @@ class Properties(Entries):
         super().__init__(plugin_name, node, values, id)
         self._place_of = place
         self.merging = merging
+        self._animated: set[str] = set()
+        """The keys whose animations have been taken."""
 
     def get_texture(self, name: str, default: builtins.float = REQUIRED) -> Texture:
         """The entry as a texture; numbers and colours become constant textures."""
@@ -265,9 +267,24 @@ class Properties(Entries):
         except SceneError as error:
             raise self.error(key, str(error)) from None
 
+    def animation(self, key: str = "to_world") -> Any:
+        """The `AnimatedTransform4f` of an entry; None if there is none. `transform` then gives the identity."""
+        value = self._values.get(key)
+        if not (isinstance(value, Plugin) and value.kind == "animation"):
+            return None
+        self._animated.add(key)
+        return self._take(key, REQUIRED)
+
     def transform(self, key: str = "to_world", default: ScalarTransform4f | None = None) -> ScalarTransform4f:
-        """An invertible affine transform; default: the identity."""
+        """An invertible affine transform; default: the identity.
+
+        What moves stays in its own space: of an animation that has been taken the transform is the identity.
+        """
         value = self._take(key, ScalarTransform4f() if default is None else default)
+        if isinstance(value, Plugin) and value.kind == "animation":
+            if key not in self._animated:
+                raise self.error(key, f"can't be animated: a '{self.plugin_name()}' doesn't move")
+            return ScalarTransform4f()
         try:
             return as_transform(value)
         except SceneError as error:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
@@ -129,6 +130,14 @@ class Emitter(EmitterQuestions):
         """Bounds of the light's origins and directions; None for light from infinity."""
         raise NotImplementedError
 
+    def bounds_in_time(self) -> LightBounds | None:
+        """Bounds at all times, of a light that moves."""
+        still, motion = self.bounds(), self.carrier
+        if still is None or motion is None:
+            return still
+        low, high = motion.keyframes.box(still.low, still.high)
+        return replace(still, low=low, high=high, theta_o=math.pi)
+
     # ---- in kernels --------------------------------------------------------------------
 
     shares_lookup: ClassVar[bool] = False
@@ -214,6 +223,9 @@ class InfiniteEmitter(Emitter):
         self.set_bounds(np.zeros(3), 1.0)
 
     def set_bounds(self, center: NDArray[np.float64], radius: float) -> None:
+        if self.motion is not None:
+            # It turns about the origin: a sphere that holds the scene however it is turned.
+            center, radius = np.zeros(3), radius + float(np.linalg.norm(center))
         self.center, self.radius = as_vector(center), as_float(radius)
 
     def bounds(self) -> LightBounds | None:

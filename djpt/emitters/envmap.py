@@ -103,7 +103,7 @@ class EnvironmentMap(InfiniteEmitter, OrientedEmitter):
         callback.put("sampling_weight", self.share, attribute="share")
         callback.put("scale", self.scale, self.values["scale"])
         callback.put("data", self.data, self.tables["data"])
-        callback.put("to_world", self.to_world, self.motion_flags)
+        callback.put("to_world", self.placing, self.motion_flags)
 
     def check_parameter(self, name: str, value: Any) -> Any:
         if name == "scale":

@@ -33,12 +33,18 @@ class OrientedEmitter(Emitter):
 
     values: ClassVar[Mapping[str, ParamFlags]] = dict.fromkeys(PLACE, ParamFlags.Differentiable)
     motions: ClassVar[tuple[str, ...]] = PLACE
+    can_move: ClassVar[bool] = True
+    """Whether its `to_world` may be animated."""
     motion_flags: ClassVar[ParamFlags] = ParamFlags.Differentiable | ParamFlags.Discontinuous
     """The flags of `to_world`: shadows have edges, which move with the light."""
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
+        self.motion = props.animation("to_world") if self.can_move else None
         self.to_world = props.transform("to_world")
+        if self.motion is not None:
+            with props.naming("to_world"):
+                self.motion.demand("rigid", "must not scale: an animated light has no size")
         with props.naming("to_world"):
             require_similar(self.to_world)
         self._place()
@@ -50,7 +56,7 @@ class OrientedEmitter(Emitter):
                 callback.put(name, getattr(self, name), flags)
         for name in self.children:
             callback.put(name, getattr(self, name))
-        callback.put("to_world", self.to_world, self.motion_flags)
+        callback.put("to_world", self.placing, self.motion_flags)
 
     def check_parameter(self, name: str, value: Any) -> Any:
         if name != "to_world":

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from djpt.core.numeric import as_array
 from djpt.core.records import DirectionSample3f, EmissionSample, EmitterFlags, Observer, Ray3f
 from djpt.core.warp import square_to_uniform_sphere
-from djpt.description.plugin import ParamFlags
+from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import LARGEST, Properties
 from djpt.description.registry import register_emitter
 from djpt.emitters.base import DeltaEmitter, LightBounds, beam
@@ -45,6 +45,10 @@ class PointLight(DeltaEmitter):
         super().__init__(props)
         if "position" in props and "to_world" in props:
             raise SceneError(f"{props.node}: give 'position' or 'to_world', not both")
+        self.motion = props.animation("to_world")
+        if self.motion is not None:
+            with props.naming("to_world"):
+                self.motion.demand("rigid", "must not scale: an animated light has no size")
         if "position" in props:
             position = props.vector("position", (0, 0, 0))
         else:
@@ -54,6 +58,11 @@ class PointLight(DeltaEmitter):
         self.intensity = props.texture("intensity", 1.0, low=0.0, high=LARGEST)
         if not self.intensity.is_constant:
             raise props.error("intensity", "can't vary: this light has no surface")
+
+    def traverse(self, callback: TraversalCallback) -> None:
+        super().traverse(callback)
+        if self.motion is not None:
+            callback.put("to_world", self.motion)
 
     def exact_position(self) -> NDArray[np.float64]:
         """The position (3,): in double precision as it was given, unless it has been edited."""

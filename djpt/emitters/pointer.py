@@ -19,6 +19,7 @@ from djpt.core.records import (
 from djpt.core.records.record import Wavelengths
 from djpt.dispatch.family import Pointer, filled
 from djpt.emitters.base import Emitter
+from djpt.emitters.moving import Carriers, carriers_of, time_of
 from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
 
 if TYPE_CHECKING:
@@ -50,21 +51,34 @@ class EmitterPtr(Pointer[Emitter]):
 
     def eval(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
         """The emitted radiance; 0 where there is no emitter and on inactive lanes."""
+        if self.carriers is not None:
+            si = self.carriers.at(self.index, si.time).own_hit(si)
         value = self.ensemble.call(self.index, self.lookup, lambda e: e.eval(si, active), Color3f(0))
         return dr.select(active, value, 0)
+
+    @property
+    def carriers(self) -> Carriers | None:
+        """What moves the emitters that lanes choose among; None if all stay."""
+        return carriers_of(self.plugins)
 
     def sample_direction(
         self, it: Observer | Point3f, sample: Point2f, active: Bool | bool = True
     ) -> tuple[DirectionSample3f, Color3f]:
         """A direction towards the emitter; weight 0 where there is none."""
         at = observer(it)
+        carried = None if self.carriers is None else self.carriers.at(self.index, time_of(at))
+        at = at if carried is None else carried.own_observer(at)
         ds, weight = self.ensemble.call(self.index, self.lookup, lambda e: e.sample_direction(at, sample, active), None)
+        ds = ds if carried is None else carried.sample(ds)
         ds.emitter_index = self.index
         return ds, dr.select(self.is_valid() & active, weight, 0)
 
     def pdf_direction(self, it: Observer | Point3f, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
         """The density of `sample_direction`, per unit solid angle; 0 where there is no emitter."""
         at = observer(it)
+        if self.carriers is not None:
+            carried = self.carriers.at(self.index, time_of(at, ds))
+            at, ds = carried.own_observer(at), carried.own_sample(ds)
         pdf = self.ensemble.call(self.index, self.lookup, lambda e: e.pdf_direction(at, ds, active), Float(0))
         return dr.select(active, pdf, 0)
 
@@ -72,6 +86,9 @@ class EmitterPtr(Pointer[Emitter]):
         self, si: SurfaceInteraction3f, it: Observer, ds: DirectionSample3f, active: Bool | bool = True
     ) -> tuple[Color3f, Float]:
         """The emitted radiance, and the density of `sample_direction` in the direction from which it was met."""
+        if self.carriers is not None:
+            carried = self.carriers.at(self.index, si.time)
+            si, it, ds = carried.own_hit(si), carried.own_observer(it), carried.own_sample(ds)
         value, pdf = self.ensemble.call(
             self.index, self.lookup, lambda e: e.eval_and_pdf(si, it, ds, active), (Color3f(0), Float(0))
         )
@@ -79,25 +96,43 @@ class EmitterPtr(Pointer[Emitter]):
 
     def eval_direction(self, it: Observer, ds: DirectionSample3f, active: Bool | bool = True) -> Color3f:
         """The weight of `sample_direction` times its density, at `ds`; 0 where there is no emitter."""
+        if self.carriers is not None:
+            carried = self.carriers.at(self.index, time_of(it, ds))
+            it, ds = carried.own_observer(it), carried.own_sample(ds)
         value = self.ensemble.call(self.index, self.lookup, lambda e: e.eval_direction(it, ds, active), Color3f(0))
         return dr.select(active, value, 0)
 
     def sample_emission(
-        self, position_sample: Point2f, direction_sample: Point2f, active: Bool | bool = True
+        self,
+        position_sample: Point2f,
+        direction_sample: Point2f,
+        active: Bool | bool = True,
+        time: Float | None = None,
     ) -> EmissionSample:
-        """Sample a ray that leaves the emitter; weight 0 where there is none and on inactive lanes."""
+        """Sample a ray that leaves the emitter at a time; weight 0 where there is none and on inactive lanes."""
         es = self.ensemble.call(
             self.index, self.lookup, lambda e: e.sample_emission(position_sample, direction_sample, active), None
         )
+        if self.carriers is not None:
+            at = Float(0) if time is None else time
+            es = self.carriers.at(self.index, at).emission(es, at)
+        elif time is not None:
+            es.ray.time = time
         es.weight = dr.select(self.is_valid() & active, es.weight, 0)
         return es
 
-    def pdf_emission(self, d: Vector3f, n: Normal3f, uv: Point2f, active: Bool | bool = True) -> tuple[Float, Float]:
+    def pdf_emission(
+        self, d: Vector3f, n: Normal3f, uv: Point2f, active: Bool | bool = True, time: Float | None = None
+    ) -> tuple[Float, Float]:
         """The densities of `sample_emission` by position and direction; 0 where there is no emitter."""
+        area: Float | None = None
+        if self.carriers is not None:
+            carried = self.carriers.at(self.index, Float(0) if time is None else time)
+            d, n, area = carried.own_direction(d), Normal3f(carried.own_direction(n)), carried.area
         position, direction = self.ensemble.call(
             self.index, self.lookup, lambda e: e.pdf_emission(d, n, uv, active), (Float(0), Float(0))
         )
-        return dr.select(active, position, 0), dr.select(active, direction, 0)
+        return dr.select(active, position if area is None else position / area, 0), dr.select(active, direction, 0)
 
     # ---- what only scripts ask ------------------------------------------------------------------
 
@@ -105,8 +140,7 @@ class EmitterPtr(Pointer[Emitter]):
         self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Bool | bool = True
     ) -> tuple[Ray3f, Color3f]:
         """Sample a ray that leaves the emitter, with Mitsuba's arguments: see `djpt.Emitter.sample_ray`."""
-        es = self.sample_emission(Point2f(sample2), Point2f(sample3), active)
-        es.ray.time = Float(time)
+        es = self.sample_emission(Point2f(sample2), Point2f(sample3), active, Float(time))
         return es.ray, es.weight
 
     def sample_position(self, time: Any, sample: Any, active: Bool | bool = True) -> tuple[PositionSample3f, Float]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
 import numpy as np
@@ -36,8 +36,15 @@ if TYPE_CHECKING:
 __all__ = ["NO_INSTANCE", "Contents", "FaceNumbers", "Geometry", "MeasuredMedia", "NullSurfaces", "unseen"]
 
 
+ROW = 32
+"""Bytes of the smallest row of a tree that has a number."""
+
+
 class Geometry:
     """The shapes of a scene, compiled for ray queries."""
+
+    moves: ClassVar[bool] = False
+    """Whether some of the shapes move, so that queries look at the time of a ray."""
 
     def __init__(self, shapes: Sequence[Shape], points: Sequence[Point3f], open_sky: bool) -> None:
         """`points` are the positions of point lights; `open_sky` is true if there is light from infinity."""
@@ -53,6 +60,26 @@ class Geometry:
         self._emits = [s.emitter() is not None for s in analytic]
         self._number()
         self._measure()
+
+    @property
+    def every_ensemble(self) -> Sequence[Ensemble[Any]]:
+        """The analytic shapes whose values kernels look up."""
+        return (self.surfaces,)
+
+    @property
+    def has_trees(self) -> bool:
+        """Whether rays are searched in a tree."""
+        return self.triangles is not None
+
+    @property
+    def face_limit(self) -> int:
+        """A number that all faces are below."""
+        return self.unrolled.face_count + (0 if self.triangles is None else self.triangles.tree.bytes // ROW + 1)
+
+    def follow_bsdfs(self) -> None:
+        """Follow an edit of the meshes' BSDFs and media."""
+        if self.triangles is not None:
+            self.triangles.follow_bsdfs()
 
     def _measure(self) -> None:
         """Measure how far the shapes reach."""

@@ -148,6 +148,11 @@ def make_job(scene: Scene, settings: RenderSettings) -> Job:
     if integrator.needs_light and not shines:
         raise RenderError("the scene has no emitter: the image would be black")
     integrator.check_scene(scene, sensor)
+    if (scene.moves or sensor.carrier is not None) and not integrator.follows_motion:
+        raise RenderError(
+            f"the integrator '{type(integrator).__name__}' can't render what moves yet: use one that starts at the "
+            "camera, such as 'path'"
+        )
     integrator.resume()
     if integrator.fits_any_frame():
         scene, sensor = normalized(scene, sensor)

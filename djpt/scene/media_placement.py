@@ -188,7 +188,10 @@ class Media:
 
         Outside is the medium that the sensor names, if it stands there.
         """
-        given, around = self.number(sensor.get_medium()), self.around(sensor.viewpoint())
+        eye = sensor.viewpoint()
+        if eye is not None and sensor.carrier is not None:
+            eye = sensor.carrier.keyframes.at(sensor.shutter_open()).transform_point(eye)
+        given, around = self.number(sensor.get_medium()), self.around(eye)
         start = dr.opaque(UInt32, around if given == self.vacuum else given)
         outer = dr.opaque(UInt32, given) if given != self.vacuum and around == self.vacuum else None
         return start, outer

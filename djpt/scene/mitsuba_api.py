@@ -8,6 +8,7 @@ import drjit as dr
 
 from djpt.core.bounding_box import ScalarBoundingBox3f
 from djpt.core.frame import Frame3f
+from djpt.core.numeric import as_number
 from djpt.core.records import (
     DirectionSample3f,
     Observer,
@@ -133,6 +134,15 @@ class MitsubaScene(SceneQueries):
         for shape in self._shapes:
             kinds |= int(shape.shape_type())
         return kinds
+
+    def at_time(self, time: float) -> Any:
+        """The scene at a time, in which nothing moves: shapes, emitters and sensors are copies, materials are shared.
+
+        Edits of the one don't reach the other, except those of materials and textures.
+        """
+        from djpt.scene.still import still_scene  # few scenes move
+
+        return still_scene(self, as_number(time))  # type: ignore[arg-type]
 
     def bbox(self) -> ScalarBoundingBox3f:
         """The box about all shapes, world space; ``low, high = scene.bbox()`` gives its corners."""

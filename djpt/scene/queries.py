@@ -95,6 +95,8 @@ class SceneQueries(Plugin):
     """The media that are followed along rays: those that absorb without scattering or, in some views, all."""
     every_medium: Media
     """All media."""
+    moves: bool
+    in_time: bool
     camera_medium: UInt32 | None
     """The number of the medium that camera rays start in; None if no media are followed."""
     outer_medium: UInt32 | None = None

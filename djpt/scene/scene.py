@@ -148,6 +148,7 @@ class Scene(MitsubaScene):
         self._renderer = renderer
         for setting in WITHOUT_EFFECT:
             props.boolean(setting, False)
+        props.children("animation")  # for others to refer to
         self.named = [(key, plugin) for kind in KINDS for key, plugin in props.children(kind)]
         order = {key: i for i, key in enumerate(props.keys())}
         self.named.sort(key=lambda entry: order[entry[0]])
@@ -163,8 +164,12 @@ class Scene(MitsubaScene):
         infinite = sum(emitter.is_environment() for emitter in self._emitters)
         if infinite > 1:
             raise SceneError(f"{props.node}: only one environment emitter is possible, found {infinite}")
-        self.in_time = any(emitter.in_time for emitter in self._emitters)
-        """Whether rays need a time, because some light depends on it."""
+        self.moves = any(part.carrier is not None for part in (*self._emitters, *self._sensors)) or any(
+            shape.motion is not None for shape in self._shapes
+        )
+        """Whether something moves: a shape, a light or a sensor."""
+        self.in_time = self.moves or any(emitter.in_time for emitter in self._emitters)
+        """Whether rays need a time, because what they meet depends on it."""
         with may_wait():
             self._compile()
 
@@ -194,7 +199,7 @@ class Scene(MitsubaScene):
         self.normalized: Any = ()
         """The scene that is rendered in the place of this one, see `djpt.scene.normalization.normalized_scene`; ():
         not known yet."""
-        self.geometry = Geometry(self._shapes, self._light_positions(), any(e.from_infinity for e in self._emitters))
+        self.geometry = self._compiled_geometry()
         shapes = self.geometry.contents.shapes
         bsdfs, bsdf_of_shape, emitter_of_shape = numbers(shapes, self._emitters)
         self.lights = Lights(self._emitters, emitter_of_shape, self.geometry, self.lookup)
@@ -212,6 +217,16 @@ class Scene(MitsubaScene):
             shape.used_in(self)
         note_latest(self)
 
+    def _compiled_geometry(self) -> Geometry:
+        """The shapes, compiled for ray queries."""
+        if any(shape.motion is not None for shape in self._shapes):
+            from djpt.geometry.moving import MovingGeometry  # few scenes need it
+
+            return MovingGeometry(self._shapes)
+        # A light that moves has no position that walls could be compared with.
+        open_sky = any(e.from_infinity or e.carrier is not None for e in self._emitters)
+        return Geometry(self._shapes, self._light_positions(), open_sky)
+
     def renew_bsdfs(self) -> None:
         """Follow a change of a shape's BSDF."""
         bsdfs, of_shape, _ = numbers(self.geometry.contents.shapes, self._emitters)
@@ -225,8 +240,7 @@ class Scene(MitsubaScene):
     def _find_media(self) -> None:
         """Number the media of shapes and sensors."""
         shapes = self.geometry.contents.shapes
-        if self.geometry.triangles is not None:
-            self.geometry.triangles.follow_bsdfs()
+        self.geometry.follow_bsdfs()
         self.media = self.every_medium = Media(self.geometry, self.lookup, absorbing_sides(shapes))
         of_sensors = [sensor.get_medium() for sensor in self._sensors if sensor.get_medium() is not None]
         if of_sensors or any(shape.is_medium_transition() for shape in shapes):
@@ -254,7 +268,7 @@ class Scene(MitsubaScene):
         self._differentiated = [(i, shape) for i, shape in enumerate(shapes) if shape.parameters_grad_enabled()]
         for part in (self.bsdfs, self.lights, self.media, self.every_medium):
             part.prepare()
-        for ensemble in (self.geometry.surfaces, *self.ensembles(), *self.every_medium.ensembles):
+        for ensemble in (*self.geometry.every_ensemble, *self.ensembles(), *self.every_medium.ensembles):
             self.lookup.prepare(ensemble.leaves())
 
     # ---- parameters -----------------------------------------------------------------
@@ -277,13 +291,14 @@ class Scene(MitsubaScene):
         self.lights.forget()
         self.silhouettes.forget()
         shapes = [plugin for plugin in changed if isinstance(plugin, Shape)]
-        if shapes:
+        moved = any(plugin.kind == "animation" for plugin in changed)
+        if shapes or moved:
             self.geometry.move(shapes)
         if any(isinstance(plugin, Emitter) for plugin in changed):
             self.geometry.move_points(self._light_positions())
-        if shapes:
+        if shapes or moved:
             self._set_bounds()
-        if shapes or any(plugin.kind in ("emitter", "texture", "volume") for plugin in changed):
+        if shapes or moved or any(plugin.kind in ("emitter", "texture", "volume") for plugin in changed):
             self.lights.forget_choices()
         self._prepare()
         self._refresh_normalized(changed)

@@ -53,6 +53,8 @@ class Sensor(SampledRays, Endpoint):
     """Whether rays have neighbours on the film, to compute footprints from."""
     motions: ClassVar[tuple[str, ...]] = ()
     """The attributes that place its rays and may have gradients; `attached_matrix` is that of `to_world`."""
+    can_move: ClassVar[bool] = True
+    """Whether its `to_world` may be animated: its rays start in its own space, not somewhere about the scene."""
     canvas: Film | None = None
     """The film that it shares with others, as a part of a batch."""
     column = 0
@@ -72,7 +74,11 @@ class Sensor(SampledRays, Endpoint):
             raise props.error("film", problem)
         self._sampler: Sampler = props.child("sampler") or default(props, "sampler", "independent")
         self._medium = props.child("medium")
+        self.motion = props.animation("to_world") if self.can_move else None
         self.to_world = props.transform("to_world")
+        if self.motion is not None:
+            with props.naming("to_world"):
+                self.motion.demand("rigid", "must not scale: a camera has no size")
         try:
             self.check_placement(self.to_world)
         except SceneError as error:
@@ -229,7 +235,10 @@ class Sensor(SampledRays, Endpoint):
     def starts(self) -> Sequence[NDArray[np.float64]]:
         """The points (3,) near which rays start, as far as they are known."""
         p = self.viewpoint()
-        return [] if p is None else [p]
+        if p is None or self.carrier is None:
+            return [] if p is None else [p]
+        keyframes = self.carrier.keyframes
+        return [keyframes.at(float(time)).transform_point(p) for time in keyframes.moments()]
 
     def near_clip_fraction(self) -> float:
         """The distance from sensor to rays' origins, in units of their `maxt`; 0 unless there is a near plane."""
@@ -242,6 +251,13 @@ class Sensor(SampledRays, Endpoint):
         """Get ready for a rendering; called before each."""
 
     # ---- in kernels --------------------------------------------------------------------
+
+    def carried(self, ray: Ray3f) -> Ray3f:
+        """A ray of the sensor's own space in the world at its time; itself if the sensor doesn't move."""
+        if self.carrier is None:
+            return ray
+        placement = self.carrier.placement(ray.time)
+        return ray.replaced(o=placement.point(ray.o), d=placement.vector(ray.d))
 
     def ray_through(self, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True) -> Ray3f:
         """Sample the ray through a position in [0, 1]^2 of the film's crop window, y downwards.

@@ -42,6 +42,7 @@ class Distant(Sensor):
 
     one_pixel = True
     uses_aperture = True
+    can_move = False
     values: ClassVar[Mapping[str, ParamFlags]] = dict.fromkeys(
         ("direction", "origin", "side_x", "side_y"), ParamFlags.NonDifferentiable
     )

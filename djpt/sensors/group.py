@@ -27,6 +27,8 @@ __all__ = ["SensorGroup"]
 class SensorGroup(Sensor):
     """A sensor whose rays are those of other sensors, one of them per lane. A subclass calls `hold` when it is made."""
 
+    can_move = False
+
     def hold(self, sensors: Sequence[Sensor], names: Sequence[str], carriers: Sequence[Any]) -> None:
         """Take the sensors: at least one, with their names, and the shapes that carry them, or None.
 
@@ -41,6 +43,8 @@ class SensorGroup(Sensor):
                     f"{self.id()}: '{self.names[0]}' and '{name}' measure in different units "
                     f"({unit(self.sensors[0])} and {unit(sensor)}); put them in separate groups"
                 )
+            if sensor.carrier is not None or (carriers[self.names.index(name)] or sensor).motion is not None:
+                raise SceneError(f"{self.id()}: '{name}' is animated; sensors that move can't share a film")
         self.uses_aperture = any(sensor.uses_aperture for sensor in self.sensors)
         self.forget()
 

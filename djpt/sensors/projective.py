@@ -54,7 +54,7 @@ class ProjectiveCamera(Sensor):
         callback.put("far_clip", self._far_clip, attribute="_far_clip")
         super().traverse(callback)
         self.traverse_lens(callback)
-        callback.put("to_world", self.to_world, self.motion_flags("attached_matrix"))
+        callback.put("to_world", self.placing, self.motion_flags("attached_matrix"))
 
     def motion_flags(self, name: str) -> ParamFlags:
         """The flags of a parameter that is among the `motions` or not."""

@@ -44,7 +44,7 @@ class RadianceMeter(Sensor):
 
     def traverse(self, callback: TraversalCallback) -> None:
         super().traverse(callback)
-        callback.put("to_world", self.to_world)
+        callback.put("to_world", self.placing)
 
     def move_into(self, frame: Frame) -> None:
         self.move_nested(frame)

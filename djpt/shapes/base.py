@@ -108,7 +108,11 @@ class Shape(ShapeQuestions):
         self.take_textures(props)
         self.flip_normals = props.boolean("flip_normals", False)
         self.silhouette_weight = props.float("silhouette_sampling_weight", 1.0, low=0.0)
+        self.motion = props.animation("to_world")
         self.to_world = props.transform("to_world")
+        if self.motion is not None:
+            with props.naming("to_world"):
+                self.check_motion()
 
     # ---- parameters -------------------------------------------------------------
 
@@ -121,11 +125,29 @@ class Shape(ShapeQuestions):
             if medium is not None:
                 callback.put(name, medium)
         self.traverse_geometry(callback)
+        if self.motion is not None:
+            callback.put("to_world", self.motion)
         self.report_textures(callback)
 
     def traverse_geometry(self, callback: TraversalCallback) -> None:
-        """Report the parameters that place the shape; by default `to_world`."""
-        callback.put("to_world", self.to_world, self.motion_flags())
+        """Report the parameters that place the shape, beside the animated transform of one that moves.
+
+        By default it is `to_world`.
+        """
+        if self.motion is None:
+            callback.put("to_world", self.to_world, self.motion_flags())
+
+    def check_motion(self) -> None:
+        """Raise `SceneError` if the shape can't be moved by its animation."""
+        if self.in_pieces:
+            raise SceneError("can't move curves and ellipsoids: nest them in a 'shapegroup' and animate an instance")
+        if self._interior is not None or self._exterior is not None:
+            raise SceneError("can't move a shape that bounds a medium")
+        self.motion.demand("unmirrored", "must not mirror a shape: mirror what moves")
+        if self._emitter is not None:
+            self.motion.demand("similar", "must scale uniformly: the shape emits light")
+        if self.misfit(np.diag([1.0, 2.0, 3.0, 1.0])):
+            self.motion.demand("similar", f"must scale uniformly: the shape is a '{self.class_name().lower()}'")
 
     def motion_flags(self) -> ParamFlags:
         """The flags of a parameter that places the shape: there are derivatives if its silhouettes are followed."""

@@ -64,7 +64,8 @@ class Cuboid(Cube):
         moves = self.motion_flags()
         callback.put("min", self.min, moves)
         callback.put("max", self.max, moves)
-        callback.put("to_world", self._placed, moves, attribute="_placed")
+        if self.motion is None:
+            callback.put("to_world", self._placed, moves, attribute="_placed")
 
 
 register_shape("cuboid", Cuboid)

@@ -41,7 +41,11 @@ class Instance(Shape):
                 f"{props.node}: an 'instance' needs one 'shapegroup' or a reference to one, found: {found}"
             )
         self.group: ShapeGroup = nested[0][1]
+        self.motion = props.animation("to_world")
         self.to_world: ScalarTransform4f = props.transform("to_world")
+        if self.motion is not None:
+            with props.naming("to_world"):
+                self.check_motion()
         try:
             self._check_shapes(self.to_world)
         except ParameterError as error:
@@ -63,7 +67,12 @@ class Instance(Shape):
 
     def traverse(self, callback: TraversalCallback) -> None:
         # As in Mitsuba, the group's parameters belong to the group, which is a node of the scene.
-        callback.put("to_world", self.to_world, self.motion_flags())
+        callback.put("to_world", self.placing, self.motion_flags())
+
+    def check_motion(self) -> None:
+        self.motion.demand("unmirrored", "must not mirror an instance: mirror what moves")
+        if any(shape.is_medium_transition() for shape in self.group.shapes):
+            raise SceneError("can't move a shape that bounds a medium")
 
     def bsdf(self) -> None:
         """None: BSDFs belong to the shapes of the group."""

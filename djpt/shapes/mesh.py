@@ -66,7 +66,7 @@ class Mesh(MeshQueries, Shape):
     shape_kind = ShapeType.Mesh
     of_triangles = True
     values = dict.fromkeys(("first_face", "own_faces", "area"), HIDDEN)
-    statics = ("flip_normals",)
+    statics = ("flip_normals", "set")
 
     @overload
     def __init__(

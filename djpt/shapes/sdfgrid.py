@@ -68,7 +68,8 @@ class SDFGrid(LevelSet):
         self.grid = TensorXf(np.ascontiguousarray(values[..., None]))
 
     def traverse_geometry(self, callback: TraversalCallback) -> None:
-        callback.put("to_world", self.to_world)
+        if self.motion is None:
+            callback.put("to_world", self.to_world)
         callback.put("grid", self.grid)
 
     def parameters_changed(self, keys: Sequence[str]) -> None:

@@ -39,6 +39,8 @@ class SplattingIntegrator(Integrator):
     `layer_names` names the channels of further images that samples may add to: layers 1, 2, .. of the sink.
     """
 
+    follows_motion = False
+
     schedules: tuple[str, ...] = ("splatting",)
     needs_light = True
     differentiable = False

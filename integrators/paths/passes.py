@@ -91,6 +91,7 @@ class PassIntegrator(Integrator):
 
     schedules = ("progressive",)
     needs_light = True
+    follows_motion = False
     differentiable = False
 
     from_camera: Integrator | None = None

@@ -13,7 +13,16 @@ from djpt.core.limits import MAX_FILES, MAX_INCLUDES, MAX_NODES
 from djpt.description.files import FileResolver, file_resolver
 from djpt.description.registry import kind_of, mitsuba_kind_of, unknown
 from djpt.description.xml import source
-from djpt.description.xml.source import VALUES, Element, Entry, Node, Reference, check_attributes, spectrum_file
+from djpt.description.xml.source import (
+    VALUES,
+    Element,
+    Entry,
+    Node,
+    Reference,
+    check_attributes,
+    number,
+    spectrum_file,
+)
 from djpt.errors import FileError, SceneError, near_miss
 
 __all__ = ["LONGEST", "OBJECTS", "Parameters", "Reader", "Version", "upgrade_name"]
@@ -226,7 +235,7 @@ def _text(name: str, value: Any) -> str:
 
 _OPERATIONS = ("translate", "scale", "rotate", "lookat", "matrix")
 """The tags within a ``<transform>``."""
-_OTHERS = ("transform", "ref", "include", "alias", "default", "path")
+_OTHERS = ("transform", "animation", "ref", "include", "alias", "default", "path")
 
 
 @dataclass
@@ -258,6 +267,8 @@ class Reader:
     def __init__(self, given: Mapping[str, Any], root: Path | None = None) -> None:
         self.parameters = Parameters(given)
         self.ids: dict[str, Node] = {}
+        self._animations: dict[str, Any] = {}
+        """Animated transforms by their ids."""
         """All nodes by id, and by alias."""
         self.directories: tuple[Path, ...] = ()
         """The directories in which the outermost file looks for others."""
@@ -341,13 +352,18 @@ class Reader:
         if not is_object(element) and tag not in VALUES and tag not in _OTHERS:
             raise element.error(f"unknown tag{near_miss(tag, [*OBJECTS, *VALUES, *_OTHERS])}")
         self._substitute(element)
-        for inner in element.children if not is_object(element) and tag != "transform" else ():
+        holds = ("transform", "animation")
+        for inner in element.children if not is_object(element) and tag not in holds else ():
             raise inner.error(f"can't stand in a <{tag}>")
         name = self._name(element, file)
         if is_object(element):
             parent.add(name, self._object(element, file, parent), element)
         elif tag == "include":
             self._include(element, name, parent, file)
+        elif tag == "animation":
+            self._animation(element, name, parent, file)
+        elif tag == "ref" and element.attributes.get("id") in self._animations:
+            parent.add(name, self._animations[element.attributes["id"]], element)
         elif tag == "ref":
             check_attributes(element, "id", "name")
             parent.add(name, Reference(element.attributes["id"]), element)
@@ -388,6 +404,34 @@ class Reader:
         return value
 
     # ---- tags with a meaning of their own ----------------------------------------------------
+
+    def _animation(self, element: Element, name: str, parent: Node, file: _File) -> None:
+        """Add an animated transform; one with an id can be referred to further down. In a scene it is just declared."""
+        from djpt.description.animation import AnimatedTransform4f
+
+        check_attributes(element, "", "name id")
+        keyframes = []
+        for child in element.children:
+            if child.tag != "transform":
+                raise child.error(f"can't stand in an <animation>{near_miss(child.tag, ['transform'])}")
+            self._substitute(child)
+            if "time" not in child.attributes:
+                raise child.error("a keyframe needs the attribute 'time'")
+            time = number(child, child.attributes.pop("time"))
+            child.attributes["name"] = name
+            keyframes.append((time, self._value(child, file)))
+        try:
+            animation = AnimatedTransform4f(keyframes)
+        except SceneError as error:
+            raise element.error(str(error)) from None
+        if identity := element.attributes.get("id"):
+            if identity in self.ids or identity in self._animations:
+                raise element.error(f"the id '{identity}' is already taken")
+            self._animations[identity] = animation
+        if name:
+            parent.add(name, animation, element)
+        elif not identity:
+            raise element.error("the name is empty")
 
     def _include(self, element: Element, name: str, parent: Node, file: _File) -> None:
         """Include a file: the contents of a scene replace the tag; any other object is nested in its place."""

@@ -137,6 +137,9 @@ class _Writer:
     def _entry(self, path: str, key: str, value: Any, depth: int) -> None:
         where = self.loader.name(path)
         name = self._text(key, where)
+        if isinstance(value, Plugin) and value.kind == "animation":
+            self._animation(name, value, depth)
+            return
         if isinstance(value, Plugin):
             raise SceneError(f"{where}: is a {type(value).__name__} object; only descriptions can be written to a file")
         if isinstance(value, Mapping):
@@ -198,6 +201,15 @@ class _Writer:
             self._tag(depth, "vector", name=name, x=x, y=y, z=z)
         else:
             raise SceneError(f"a scene file can't hold this array of shape {array.shape}: {describe(value)}")
+
+    def _animation(self, name: str, animation: Any, depth: int) -> None:
+        """Write the keyframes of an animated transform."""
+        self._tag(depth, "animation", ">", name=name)
+        for time in animation.keyframes.times.tolist():
+            self._tag(depth + 1, "transform", ">", time=repr(time))
+            self._tag(depth + 2, "matrix", value=_join(animation.eval_scalar(time).matrix))
+            self.lines.append(f"{_INDENT * (depth + 1)}</transform>")
+        self.lines.append(f"{_INDENT * depth}</animation>")
 
     def _transform(self, name: str, transform: ScalarTransform4f, depth: int) -> None:
         """Write a transform as scaling and translation where that is exact, else as a matrix."""

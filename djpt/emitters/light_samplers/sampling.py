@@ -112,7 +112,7 @@ class LightSampling:
         medium, at no surface, no light. A lone environment is looked up once for both.
         """
         lone = self.emitters.plugins[0] if len(self.emitters) == 1 else None
-        if lone is not None and lone.shares_lookup and not lone.is_moving():
+        if lone is not None and lone.shares_lookup and not lone.is_moving() and lone.carrier is None:
             environment = self.emitters.groups[0].at(UInt32(0), self.lookup)
             radiance, pdf, weight, d = environment.eval_or_sample(si, sample, active)
             ds = DirectionSample3f.of(

@@ -55,7 +55,7 @@ class TreeLightSampler(LightSampler):
     def __init__(self, emitters: Sequence[Emitter]) -> None:
         """Raises `SceneError` if no emitter can be chosen."""
         super().__init__(emitters)
-        bounds = [emitter.bounds() for emitter in emitters]
+        bounds = [emitter.bounds_in_time() for emitter in emitters]
         weights = np.array([emitter.sampling_weight() for emitter in emitters])
         places = np.full(self.count + 1, NOWHERE, np.uint32)
 

@@ -97,6 +97,7 @@ class Daylight(InfiniteEmitter, OrientedEmitter):
         **dict.fromkeys(("sky_scale", "sun_scale"), ParamFlags.Differentiable),
     }
     motions: ClassVar[tuple[str, ...]] = ()
+    can_move = False
     motion_flags = HIDDEN
     turbidity_flags: ClassVar[ParamFlags] = HIDDEN
     """The flags of `turbidity`."""
@@ -124,7 +125,7 @@ class Daylight(InfiniteEmitter, OrientedEmitter):
 
     def traverse(self, callback: TraversalCallback) -> None:
         callback.put("sampling_weight", self.share, attribute="share")
-        callback.put("to_world", self.to_world, self.motion_flags)
+        callback.put("to_world", self.placing, self.motion_flags)
         callback.put("turbidity", self.turbidity, self.turbidity_flags)
         for name in ("sky_scale", "sun_scale"):
             callback.put(name, getattr(self, name), self.values[name])

@@ -329,7 +329,7 @@ def multi_pixel_sums(job: Job, band: Band, begin: int, end: int, memory: list[Fl
     lanes = Lanes(pixel, dr.opaque(UInt32, 0), dr.opaque(UInt32, job.pixels_per_lane * job.spp), dr.opaque(UInt32, 1))
     sums = CalledSums(taps, job.film.rfilter(), pixels)
     # See `djpt.rendering.schedules.flat.called_film_sums`.
-    steps = 2 if job.scene.geometry.triangles is None else 1
+    steps = 1 if job.scene.geometry.has_trees else 2
     count = run(job, lanes, MultiPixelSums(job, pixel, sums, steps))
     with small_blocks():
         dr.eval(count)

@@ -41,12 +41,16 @@ def choose(name: str, job: Job) -> Schedule:
     if not job.sampler.has_streams:
         require_lanes(name, job)
         return schedule("wavefront")
-    possible, has_tree = job.integrator.schedules, job.scene.geometry.triangles is not None
+    possible, has_tree = job.integrator.schedules, job.scene.geometry.has_trees
     if name == "machine" and "media_machine" in possible:
         return schedule("media_machine")
     if name in ("flat", "machine") and name not in possible:
         raise RenderError(
             f"the integrator '{type(job.integrator).__name__}' doesn't advance vertex by vertex: use schedule='wave'"
+        )
+    if name == "machine" and job.scene.geometry.moves:
+        raise RenderError(
+            "the schedule 'machine' searches one BVH, but shapes that move have each their own: use 'flat'"
         )
     if name == "machine" and not has_tree:
         raise RenderError("the schedule 'machine' searches a BVH, but the scene has no meshes: use schedule='flat'")

@@ -204,7 +204,7 @@ def called_film_sums(job: Job, band: Band, begin: int, end: int, memory: list[Fl
     taps, width = Taps(job.film.taps, job.channel_count()), dr.width(lanes.pixel)
     sums = CalledSums(taps, job.film.rfilter(), width, None if memory is None else memory[0])
     # A call takes time, which shows where vertices are cheap. A loop of one vertex is compiled in half the time.
-    steps = 2 if job.scene.geometry.triangles is None else 1
+    steps = 1 if job.scene.geometry.has_trees else 2
     count = run(job, lanes, CalledFilmSums(job.on_film(*job.coordinates(lanes.pixel)), sums, steps))
     with small_blocks():
         dr.eval(count)

@@ -161,9 +161,9 @@ class Job:
         else:
             ray = self.camera.ray_through(position * self._inverse_crop, aperture)
         ray.medium = self.scene.camera_medium
-        if self.scene.in_time:
+        if self.scene.in_time or self.sensor.carrier is not None:
             ray.time = dr.fma(moment, self._shutter_open_time, self._shutter_open)
-        return ray
+        return self.sensor.carried(ray)
 
     def in_crop(self, x: Float, y: Float, offset: Point2f) -> Point2f:
         """The position on the crop window, [0, 1)^2, of a place on the pixel of the grid in column `x` and row `y`."""

@@ -126,7 +126,7 @@ COPIED = ("shape", "emitter")
 
 def normalized(scene: Scene, sensor: Sensor) -> tuple[Scene, Sensor]:
     """The scene and a sensor as they are rendered: in the working frame if there is one, else themselves."""
-    found = normalized_scene(scene)
+    found = normalized_scene(scene) if sensor.carrier is None else None
     if found is None:
         return scene, sensor
     copies, of_scene = found
@@ -141,6 +141,8 @@ def normalized(scene: Scene, sensor: Sensor) -> tuple[Scene, Sensor]:
 
 def normalized_scene(scene: Scene) -> tuple[PluginCopies, Scene] | None:
     """The scene in its working frame, and the copies of its plugins; None if its own coordinates will do, or must."""
+    if scene.moves:
+        return None  # keyframes are in the scene's coordinates
     if any(emitter.is_moving() for emitter in scene.emitters()):
         return None  # a place in another frame has no gradients
     if scene.normalized == ():
