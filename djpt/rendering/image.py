@@ -66,7 +66,7 @@ def image_derivative(scene: Scene, settings: RenderSettings, grad: TensorXf | No
     propagated to the image, whose gradient (H, W, C) is returned.
     """
     from djpt.rendering.gradients.choice import derivative_of
-    from djpt.rendering.gradients.derivatives import attached_image
+    from djpt.rendering.gradients.derivatives import attached_image, propagated
 
     begin_trace()
     require_still(scene, settings.sensor)
@@ -79,14 +79,7 @@ def image_derivative(scene: Scene, settings: RenderSettings, grad: TensorXf | No
         return dr.zeros(TensorXf, shape)
     require_proven(scene, settings.integrator)
     derivative = derivative_of(job, choose(settings.schedule, job), parameters)
-    image = attached_image(parameters, [], lambda: dr.zeros(TensorXf, shape), derivative)
-    if grad is None:
-        dr.forward_to(image)
-        return dr.grad(image)
-    dr.set_grad(image, grad)
-    dr.enqueue(dr.ADMode.Backward, image)
-    dr.traverse(dr.ADMode.Backward)
-    return image
+    return propagated(attached_image(parameters, [], lambda: dr.zeros(TensorXf, shape), derivative), grad)
 
 
 def primal(job: Job, schedule: Schedule) -> TensorXf:
@@ -150,8 +143,8 @@ def make_job(scene: Scene, settings: RenderSettings) -> Job:
     integrator.check_scene(scene, sensor)
     if (scene.moves or sensor.carrier is not None) and not integrator.follows_motion:
         raise RenderError(
-            f"the integrator '{type(integrator).__name__}' can't render what moves yet: use one that starts at the "
-            "camera, such as 'path'"
+            f"'{type(integrator).__name__}' renders what moves in slices of time, which only whole images have: use "
+            "djpt.render, or an integrator that starts at the camera, such as 'path'"
         )
     integrator.resume()
     if integrator.fits_any_frame():

@@ -91,6 +91,11 @@ def render(
     )
 
     def image(settings: RenderSettings) -> TensorXf:
+        if (scene.moves or settings.sensor.carrier is not None) and not adaptive:
+            from djpt.rendering.time_slices import needs_slices, sliced_image  # few scenes move
+
+            if needs_slices(scene, settings):
+                return sliced_image(scene, params, settings)
         if adaptive:
             from djpt.rendering.progressive.passes import adaptive_image
 

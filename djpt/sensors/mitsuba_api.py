@@ -44,6 +44,9 @@ class SampledRays:
         def film(self) -> Film:
             """See `Sensor`."""
 
+        def carried(self, ray: Ray3f) -> Ray3f:
+            """See `Sensor`."""
+
         def unanswered(self, what: str) -> RenderError:
             """See `djpt.Endpoint`."""
 
@@ -71,7 +74,7 @@ class SampledRays:
         ray = self.ray_through(Point2f(sample2), Point2f(sample3), active)
         timed: Any = ray
         timed.time = Float(time)
-        return timed, Color3f(self.weight)
+        return self.carried(timed), Color3f(self.weight)
 
     def sample_ray_differential(
         self,

@@ -20,7 +20,7 @@ from djpt.description.plugin import HIDDEN, ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.errors import FileError, ParameterError, SceneError
 from djpt.jit.kernels import as_float, own_copy, own_floats
-from djpt.jit.types import Float, Point2f, UInt32
+from djpt.jit.types import Float, Point2f, Point3f, UInt32
 from djpt.shapes.base import Shape
 from djpt.shapes.meshes.data import MeshData, clean, unit
 from djpt.shapes.meshes.making import Edits, check_prefix, of_arrays, of_zeros, rows
@@ -160,6 +160,16 @@ class Mesh(MeshQueries, Shape):
         for derived in ("first_face", "vertex_positions"):
             self.__dict__.pop(derived, None)
         self._measure()
+
+    def attach_to(self, placed: Any, own: NDArray[np.float32]) -> None:
+        """Attach the vertices of a mesh that has been moved to a transform with gradients, from their `own` places."""
+        index = dr.arange(UInt32, len(own))
+        vertices = Point3f(*(dr.gather(Float, own_floats(own), 3 * index + k) for k in range(3)))
+        moved = placed.transform_point(vertices)
+        attached = dr.ravel(moved)
+        place = own_floats(self.positions)
+        positions: Any = dr.replace_grad(place, attached)  # type: ignore[func-returns-value]
+        self.vertex_positions = positions
 
     def move_into(self, frame: Frame) -> None:
         self.leave(frame.point(self.exact_positions()).astype(np.float32))

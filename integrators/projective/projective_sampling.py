@@ -55,6 +55,7 @@ class PSIntegrator(RBIntegrator):
     """
 
     follows_silhouettes = True
+    follows_motion = False
     direct_light_only = False
     """True if surfaces are lit by emitters alone."""
     radiative_backprop = True

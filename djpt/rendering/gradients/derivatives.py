@@ -49,6 +49,7 @@ __all__ = [
     "attached_image",
     "on_grid",
     "over_weights",
+    "propagated",
 ]
 
 MAX_ATTACHED_SAMPLES = 2**25
@@ -60,6 +61,20 @@ def attached_image(
 ) -> TensorXf:
     """The image `primal()`, attached to `parameters` by an estimator of its derivative, and to `unused` values."""
     return dr.custom(ImageOp, [p.value for p in parameters], unused, primal, derivative)
+
+
+def propagated(image: TensorXf, grad: TensorXf | None) -> TensorXf:
+    """Propagate gradients of an image, `grad`, to what it is attached to; without them, gradients to the image.
+
+    The result is the gradient of the image (H, W, C) in the second case.
+    """
+    if grad is None:
+        dr.forward_to(image)
+        return dr.grad(image)
+    dr.set_grad(image, grad)
+    dr.enqueue(dr.ADMode.Backward, image)
+    dr.traverse(dr.ADMode.Backward)
+    return image
 
 
 class Derivative(Protocol):

@@ -10,16 +10,17 @@ import drjit as dr
 
 from djpt.dispatch.ensemble import Attached
 from djpt.jit.types import TensorXf
-from djpt.rendering.gradients.derivatives import attached_image
+from djpt.rendering.gradients.derivatives import attached_image, propagated
 from djpt.rendering.gradients.leaves import Parameter, attached_parameters, motion_parameters
 from djpt.rendering.gradients.unproven import moves, require_proven
+from djpt.rendering.schedules.job import image_channels
 from djpt.rendering.settings import RenderSettings
 from djpt.scene.instance_copies import with_copies
 from djpt.scene.scene import Scene, find_sensor
 from djpt.shapes.silhouettes.moving import exchanged
 from djpt.shapes.silhouettes.normals import with_normals
 
-__all__ = ["attached_view", "image_by_itself"]
+__all__ = ["attached_view", "image_by_itself", "own_derivative"]
 
 
 def attached_view(scene: Scene, values: dict[tuple[int, str], Any]) -> Scene:
@@ -43,13 +44,34 @@ def image_by_itself(scene: Scene, params: Any, settings: RenderSettings) -> Tens
         with dr.suspend_grad():
             return integrator.render(shown, settings.sensor, settings.seed, settings.spp, develop=True, evaluate=False)
 
+    scene, parameters = differentiated(scene, integrator, sensor)
+    if not parameters:
+        return primal()
+    return attached_image(parameters, [], primal, OwnDerivative(scene, params, settings, parameters))
+
+
+def differentiated(scene: Scene, integrator: Any, sensor: Any) -> tuple[Scene, list[Parameter]]:
+    """The scene as it is differentiated, and the parameters with gradients."""
     if moves(scene, sensor):
         scene = with_copies(scene)
     parameters = [*attached_parameters(scene), *motion_parameters(scene, sensor)]
+    if parameters:
+        require_proven(scene, integrator, sensor)
+    return scene, parameters
+
+
+def own_derivative(scene: Scene, params: Any, settings: RenderSettings, grad: TensorXf | None) -> TensorXf:
+    """The derivative of an image without the image: see `djpt.rendering.image.image_derivative`."""
+    if settings.integrator.follows_media:
+        scene = scene.replace(all_media=True)
+    scene, parameters = differentiated(scene, settings.integrator, settings.sensor)
+    width, height = settings.sensor.film().crop_size()
+    channels = len(image_channels(settings.sensor.film(), settings.integrator))
+    blank = dr.zeros(TensorXf, (height, width, channels))
     if not parameters:
-        return primal()
-    require_proven(scene, integrator, sensor)
-    return attached_image(parameters, [], primal, OwnDerivative(scene, params, settings, parameters))
+        return blank
+    image = attached_image(parameters, [], lambda: blank, OwnDerivative(scene, params, settings, parameters))
+    return propagated(image, grad)
 
 
 class OwnDerivative:
