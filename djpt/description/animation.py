@@ -98,7 +98,7 @@ class AnimatedTransform4f(Plugin):
             parts[name] = numbers.reshape(count, width) if width > 1 else numbers.ravel()
         try:
             keyframes = Keyframes.checked(**parts)
-            self._meet_demands(keyframes)
+            meet(self._demands, keyframes)
         except SceneError as error:
             raise ParameterError(f"{self.id()}: {error}") from None
         self.keyframes, self._table = keyframes, MotionTable(keyframes)
@@ -109,13 +109,8 @@ class AnimatedTransform4f(Plugin):
         Raises:
             SceneError: They aren't.
         """
+        meet({what: why}, self.keyframes)
         self._demands[what] = why
-        self._meet_demands(self.keyframes)
-
-    def _meet_demands(self, keyframes: Keyframes) -> None:
-        for what, why in self._demands.items():
-            if not getattr(keyframes, f"is_{what}"):
-                raise SceneError(why)
 
     def is_attached(self) -> bool:
         """Whether some of the keyframes have gradients, also where these are suspended."""
@@ -173,3 +168,10 @@ class AnimatedTransform4f(Plugin):
         return self.keyframes == other.keyframes
 
     __hash__ = Plugin.__hash__
+
+
+def meet(demands: Mapping[str, str], keyframes: Keyframes) -> None:
+    """Raise `SceneError` if keyframes lack a demanded property; its value is the message."""
+    for what, why in demands.items():
+        if not getattr(keyframes, f"is_{what}"):
+            raise SceneError(why)
