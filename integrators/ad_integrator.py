@@ -10,6 +10,7 @@ import drjit as dr
 
 from djpt.description.properties import Properties
 from djpt.dispatch.ensemble import Attached, Detached
+from djpt.errors import RenderError
 from djpt.films.base import FilmFlags
 from djpt.integrators.base import Integrator
 from djpt.jit.types import Bool, Color3f, Float, Int32, Point2f, TensorXf, UInt32

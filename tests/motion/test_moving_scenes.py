@@ -23,7 +23,7 @@ def turned(angle: float, size: float = 0.5, x: float = 0.0, y: float = 0.0) -> T
 
 def view(*keys: Any, width: int = 32) -> dict[str, Any]:
     """A camera that looks at the origin, or moves through `keys`."""
-    to_world = A({k: key for k, key in enumerate(keys)}) if keys else T().look_at([0, 0, 5], [0, 0, 0], [0, 1, 0])
+    to_world = A(dict(enumerate(keys))) if keys else T().look_at([0, 0, 5], [0, 0, 0], [0, 1, 0])
     film = {"type": "hdrfilm", "width": width, "height": width, "rfilter": {"type": "box"}}
     return {"type": "perspective", "fov": 40, "shutter_close": 1.0, "to_world": to_world, "film": film}
 
