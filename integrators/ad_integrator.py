@@ -130,6 +130,8 @@ class ADIntegrator(Integrator):
         on_crop = (position - Point2f(film.crop_offset())) * dr.rcp(Point2f(film.crop_size()))
         aperture = sampler.next_2d() if sensor.needs_aperture_sample() else Point2f(0)
         time = Float(sensor.shutter_open())
+        if sensor.rolls:
+            time = time + dr.clip(position.y / film.size()[1], 0, 1) * sensor.rolling_shutter()
         if sensor.shutter_open_time() > 0:
             time = time + sampler.next_1d() * sensor.shutter_open_time()
         sensor.prepare()

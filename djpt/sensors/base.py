@@ -32,10 +32,11 @@ __all__ = ["Sensor"]
 class Sensor(SampledRays, Endpoint):
     """A camera or meter: the rays of film positions, with a film and a sampler of its own.
 
-    Parameters of all sensors: `to_world` (camera to world: the camera looks along its +z, +y is up; no scale; default
-    identity), `shutter_open` and `shutter_close` (default 0: when samples see light that varies with time; no shape
-    moves), `medium` (the one that rays start in; default: the scene finds it), a nested `film` (default `hdrfilm`) and
-    `sampler` (default `independent`).
+    Parameters of all sensors: `to_world` (camera to world: the camera looks along its +z, +y is up; no scale; may be
+    animated; default identity), `shutter_open` (default 0) and `shutter_close` (default `shutter_open`): the times of
+    samples are uniform between them; `rolling_shutter` (default 0): the time by which the shutter opens, and closes,
+    later at the bottom of the film than at the top (earlier if negative); `medium` (the one that rays start in; default:
+    the scene finds it), a nested `film` (default `hdrfilm`) and `sampler` (default `independent`).
     """
 
     kind: ClassVar[str] = "sensor"
@@ -87,6 +88,9 @@ class Sensor(SampledRays, Endpoint):
         self._shutter_open_time = props.float("shutter_close", opens) - opens
         if self._shutter_open_time < 0:
             raise props.error("shutter_close", f"must not be less than 'shutter_open' ({opens:g})")
+        self.rolls = "rolling_shutter" in props
+        """Whether the time of a sample depends on its row."""
+        self._rolling_shutter = props.float("rolling_shutter", 0.0)
 
     @staticmethod
     def check_placement(transform: ScalarTransform4f) -> None:
@@ -99,6 +103,8 @@ class Sensor(SampledRays, Endpoint):
     def traverse(self, callback: TraversalCallback) -> None:
         for name in ("shutter_open", "shutter_open_time"):
             callback.put(name, getattr(self, f"_{name}"), attribute=f"_{name}")
+        if self.rolls:
+            callback.put("rolling_shutter", self._rolling_shutter, attribute="_rolling_shutter")
         callback.put("film", self._film)
         if self._medium is not None:
             callback.put("medium", self._medium)
@@ -191,8 +197,12 @@ class Sensor(SampledRays, Endpoint):
         return self._shutter_open
 
     def shutter_open_time(self) -> float:
-        """The time for which the shutter stays open."""
+        """The time for which the shutter stays open, of each row of the film."""
         return self._shutter_open_time
+
+    def rolling_shutter(self) -> float:
+        """The time by which the shutter opens later at the bottom of the film than at the top."""
+        return self._rolling_shutter
 
     def world_transform(self) -> ScalarTransform4f:
         """The transform from camera to world."""

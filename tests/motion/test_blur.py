@@ -111,3 +111,36 @@ def test_time_is_a_number_of_the_sampler(sampler: str) -> None:
     passes = A({0: T().translate([-0.6, 0, 0]).scale(0.3), 1: T().translate([0.2, 0, 0]).scale(0.3)})
     found = image({"type": "rectangle", "to_world": passes}, {"sampler": {"type": sampler}}, spp=256)
     assert found.mean() == pytest.approx(0.36 / 4, rel=0.01)
+
+
+def test_a_rolling_shutter_slants_what_passes() -> None:
+    """Each row sees a bar where it is at the row's time: exposed for an instant, or for a while."""
+    a, start, way = 0.1, -0.5, 1.0
+    bar = T().scale([a, 2, 1])
+    passes = {0: T().translate([start, 0, 0]) @ bar, 1: T().translate([start + way, 0, 0]) @ bar}
+    mesh = {"type": "rectangle"}
+    film = {"type": "hdrfilm", "width": N, "height": N, "rfilter": {"type": "box"}}
+    camera = {"type": "orthographic", "to_world": TOWARDS, "rolling_shutter": 0.5, "film": film}
+    for exposure in (0.0, 0.25):
+        camera = {**camera, "shutter_close": exposure}
+        scene = djpt.load_dict(
+            {
+                "type": "scene",
+                "sensor": camera,
+                "lamp": {"type": "constant"},
+                "bar": {**mesh, "to_world": A(passes), "bsdf": {"type": "diffuse", "reflectance": 0.0}},
+                "integrator": {"type": "direct"},
+            }
+        )
+        dark = 1 - np.array(djpt.render(scene, spp=SPP))[..., 0]
+
+        def covered(x: np.ndarray, y: np.ndarray, exposure: float = exposure) -> np.ndarray:
+            opens = (1 - y) / 2 * 0.5
+            first, last = (x - start - a) / way - opens, (x - start + a) / way - opens
+            if exposure == 0:
+                return ((first < 0) & (last > 0)).astype(float)
+            return np.clip(last / exposure, 0, 1) - np.clip(first / exposure, 0, 1)
+
+        check(dark, pixel_means(covered), SPP if exposure else 64)
+        with pytest.raises(djpt.RenderError, match="rolling shutter"):
+            djpt.render(scene, spp=1, integrator=djpt.load_dict({"type": "bdpt"}))

@@ -80,6 +80,8 @@ class Job:
         self.camera = camera(self.sensor)
         self._shutter_open = dr.opaque(Float, self.sensor.shutter_open())
         self._shutter_open_time = dr.opaque(Float, self.sensor.shutter_open_time())
+        self._rolling_shutter = dr.opaque(Float, self.sensor.rolling_shutter()) if self.sensor.rolls else None
+        self._inverse_height = dr.opaque(Float, 1 / self.film.size()[1])
         self._weight = None if self.sensor.weight == 1 else dr.opaque(Float, self.sensor.weight)
 
     def with_scene(self, scene: Scene) -> Job:
@@ -162,7 +164,11 @@ class Job:
             ray = self.camera.ray_through(position * self._inverse_crop, aperture)
         ray.medium = self.scene.camera_medium
         if self.scene.in_time or self.sensor.carrier is not None:
-            ray.time = dr.fma(moment, self._shutter_open_time, self._shutter_open)
+            opens = self._shutter_open
+            if self._rolling_shutter is not None:
+                row = dr.clip((position.y + self._origin.y + self._border) * self._inverse_height, 0, 1)
+                opens = dr.fma(row, self._rolling_shutter, opens)
+            ray.time = dr.fma(moment, self._shutter_open_time, opens)
         return self.sensor.carried(ray)
 
     def in_crop(self, x: Float, y: Float, offset: Point2f) -> Point2f:
