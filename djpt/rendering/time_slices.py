@@ -68,7 +68,7 @@ def sliced_image(scene: Scene, params: Any, settings: RenderSettings) -> TensorX
     if settings.sensor.rolls:
         lacks = "derivatives" if integrator.follows_motion else f"images by '{type(integrator).__name__}'"
         raise RenderError(
-            f"'{settings.sensor.id()}' has a rolling shutter, whose rows see the scene at different times: there are no "
+            f"'{settings.sensor.id()}' has a rolling shutter, whose rows see different times: there are no "
             f"{lacks}; possible: images by integrators that start at the camera, such as 'path'"
         )
     placed = motion_parameters(scene, settings.sensor)

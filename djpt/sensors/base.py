@@ -35,8 +35,8 @@ class Sensor(SampledRays, Endpoint):
     Parameters of all sensors: `to_world` (camera to world: the camera looks along its +z, +y is up; no scale; may be
     animated; default identity), `shutter_open` (default 0) and `shutter_close` (default `shutter_open`): the times of
     samples are uniform between them; `rolling_shutter` (default 0): the time by which the shutter opens, and closes,
-    later at the bottom of the film than at the top (earlier if negative); `medium` (the one that rays start in; default:
-    the scene finds it), a nested `film` (default `hdrfilm`) and `sampler` (default `independent`).
+    later at the bottom of the film than at the top (earlier if negative); `medium` (the one that rays start in;
+    default: the scene finds it), a nested `film` (default `hdrfilm`) and `sampler` (default `independent`).
     """
 
     kind: ClassVar[str] = "sensor"
