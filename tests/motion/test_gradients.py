@@ -45,7 +45,7 @@ def passing(way: float = WAY) -> dict[float, T]:
 
 
 def moment(weight: Any) -> float:
-    """The mean over time of a weight times the derivative, by its centre, of the integral of WEIGHTS over the square."""
+    """The mean over time of a weight times the derivative, by its centre, of the integral of WEIGHTS over it."""
     t = (np.arange(4096) + 0.5) / 4096
     return float(4 * A0**2 * np.mean(weight(t) * (2 * (START + WAY * t) + 0.5)))
 
