@@ -22,11 +22,13 @@ from djpt.core.transforms.keyframes import Placement
 from djpt.description.animation import AnimatedTransform4f
 from djpt.dispatch.ensemble import Lookup
 from djpt.geometry.aggregate import NO_INSTANCE, Contents, Geometry
+from djpt.geometry.deforming import DeformingGeometry
 from djpt.geometry.query import Near
 from djpt.jit.kernels import as_vector
 from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32
 from djpt.shapes.base import Shape, Surface
 from djpt.shapes.instance import Instance
+from djpt.shapes.mesh import Mesh
 
 __all__ = ["MovingGeometry"]
 
@@ -35,7 +37,7 @@ class Part:
     """Shapes that move together, or all that are still, with the numbers of their faces in the whole."""
 
     def __init__(self, shapes: Sequence[Shape], motion: AnimatedTransform4f | None) -> None:
-        """`shapes` of one `motion`; instances are replaced by what they show."""
+        """`shapes` of one `motion`, or one that deforms; instances are replaced by what they show."""
         self.motion = motion
         self.members = list(shapes)
         shown: list[Shape] = []
@@ -44,14 +46,16 @@ class Part:
             inner = [shown_copy(s) for s in shape.group.shapes] if motion and isinstance(shape, Instance) else [shape]
             shown += inner
             self.instance_of_shape += [shape if inner != [shape] else None] * len(inner)
-        # A wall with everything on one side of it may still hide what moves on the other side.
-        self.geometry = Geometry(shown, [], open_sky=True)
-        self.first_face = UInt32(0)
-
-    @property
-    def shapes(self) -> list[Shape]:
+        self.shapes: list[Shape]
         """The shapes as the part's geometry numbers them."""
-        return self.geometry.contents.shapes
+        if any(shape.deforms for shape in shapes):
+            self.geometry: Geometry = DeformingGeometry(*shapes)  # type: ignore[arg-type]
+            self.shapes = shown
+        else:
+            # A wall with everything on one side of it may still hide what moves on the other side.
+            self.geometry = Geometry(shown, [], open_sky=True)
+            self.shapes = self.geometry.contents.shapes
+        self.first_face = UInt32(0)
 
     def placement(self, ray: Ray3f) -> Placement | None:
         """Where the part is at the time of a ray; None if it is still."""
@@ -125,9 +129,11 @@ class MovingGeometry(Geometry):
     moves = True
 
     def __init__(self, shapes: Sequence[Shape]) -> None:
-        motions: dict[int, AnimatedTransform4f] = {id(s.motion): s.motion for s in shapes if s.motion is not None}
-        self.parts = [Part([s for s in shapes if s.motion is None], None)]
-        self.parts += [Part([s for s in shapes if s.motion is m], m) for m in motions.values()]
+        rigid = [shape for shape in shapes if not shape.deforms]
+        motions: dict[int, AnimatedTransform4f] = {id(s.motion): s.motion for s in rigid if s.motion is not None}
+        self.parts = [Part([s for s in rigid if s.motion is None], None)]
+        self.parts += [Part([s for s in rigid if s.motion is m], m) for m in motions.values()]
+        self.parts += [Part([shape], shape.motion) for shape in shapes if shape.deforms]
         contents: Any = MovingContents(shapes, self.parts)
         self.contents: Contents = contents
         self._index: list[list[int]] = contents.index
@@ -146,7 +152,7 @@ class MovingGeometry(Geometry):
 
     @property
     def has_trees(self) -> bool:
-        return any(part.geometry.triangles is not None for part in self.parts)
+        return any(part.geometry.has_trees for part in self.parts)
 
     @property
     def stepwise(self) -> bool:
@@ -208,8 +214,7 @@ class MovingGeometry(Geometry):
         still = self.parts[0].geometry.closest(ray, through_lights)
         t, face, shape, near = still.t, still.face, self._own_shapes[0].at(still.shape_index), still.near
         for number, part in enumerate(self.parts[1:], 1):
-            own = part.carried(ray, part.placement(ray))
-            own.maxt = dr.select(dr.isfinite(t), t, ray.maxt)
+            own = part.carried(ray, part.placement(ray)).replaced(maxt=dr.select(dr.isfinite(t), t, ray.maxt))
             hit = part.geometry.closest(own, through_lights)
             nearer = hit.is_valid()
             t = dr.select(nearer, hit.t, t)
@@ -300,8 +305,7 @@ class MovingGeometry(Geometry):
     def attribute(self, name: str, face: UInt32, uv: Point2f, active: Bool | bool) -> Any:
         result = None
         for number, part in enumerate(self.parts):
-            triangles = part.geometry.triangles
-            if triangles is None or not any(name in mesh.attributes for mesh in triangles.meshes.meshes):
+            if not any(name in shape.attributes for shape in part.shapes if isinstance(shape, Mesh)):
                 continue
             mine, local = self.of_part(number, face)
             mine &= part.geometry.on_mesh(local)

@@ -165,7 +165,7 @@ class Scene(MitsubaScene):
         if infinite > 1:
             raise SceneError(f"{props.node}: only one environment emitter is possible, found {infinite}")
         self.moves = any(part.carrier is not None for part in (*self._emitters, *self._sensors)) or any(
-            shape.motion is not None for shape in self._shapes
+            shape.moves for shape in self._shapes
         )
         """Whether something moves: a shape, a light or a sensor."""
         self.in_time = self.moves or any(emitter.in_time for emitter in self._emitters)
@@ -219,7 +219,7 @@ class Scene(MitsubaScene):
 
     def _compiled_geometry(self) -> Geometry:
         """The shapes, compiled for ray queries."""
-        if any(shape.motion is not None for shape in self._shapes):
+        if any(shape.moves for shape in self._shapes):
             from djpt.geometry.moving import MovingGeometry  # few scenes need it
 
             return MovingGeometry(self._shapes)

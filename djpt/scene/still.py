@@ -63,6 +63,8 @@ class StillScene:
 
     def _shape(self, shape: Any) -> None:
         motion, shape.motion = shape.motion, None
+        if shape.deforms:
+            shape.at_time(self._time)
         shape.leave()
         if shape.class_name() == "ShapeGroup":
             shape.named = [(key, self.copy_of(inner)) for key, inner in shape.named]

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from djpt.shapes.cuboid import Cuboid as Cuboid
     from djpt.shapes.curve import Curves as Curves
     from djpt.shapes.cylinder import Cylinder as Cylinder
+    from djpt.shapes.deforming import Deforming as Deforming
     from djpt.shapes.disk import Disk as Disk
     from djpt.shapes.ellipsoids import Ellipsoids as Ellipsoids
     from djpt.shapes.ellipsoidsmesh import EllipsoidsMesh as EllipsoidsMesh

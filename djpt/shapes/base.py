@@ -93,6 +93,8 @@ class Shape(ShapeQuestions):
     area: Float
     """The total area in world space, of shapes that have this value."""
 
+    deforms: bool = False
+    """Of meshes: whether the vertices move, see `djpt.shapes.deforming`."""
     in_group: bool = False
     """Whether the shape belongs to a `shapegroup`: it is visible through instances only, and has no derivatives."""
     _axes: Any = None
@@ -136,6 +138,16 @@ class Shape(ShapeQuestions):
         """
         if self.motion is None:
             callback.put("to_world", self.to_world, self.motion_flags())
+
+    @property
+    def moves(self) -> bool:
+        """Whether rays of different times see it in different places."""
+        return self.motion is not None or self.deforms
+
+    @property
+    def own_bsdf(self) -> Any:
+        """The BSDF of the description; None if it has none."""
+        return self._bsdf
 
     def check_motion(self) -> None:
         """Raise `SceneError` if the shape can't be moved by its animation."""

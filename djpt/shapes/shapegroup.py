@@ -41,7 +41,7 @@ class ShapeGroup(Shape):
                 raise SceneError(f"{props.node}: '{key}' is itself a group or an instance, which can't be instanced")
             if shape.emitter() is not None:
                 raise SceneError(f"{props.node}: '{key}' has an emitter; instanced shapes can't emit light")
-            if shape.motion is not None:
+            if shape.moves:
                 raise SceneError(f"{props.node}: '{key}' is animated; in a group only whole instances move")
             shape.in_group = True
 

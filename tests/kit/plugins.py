@@ -45,7 +45,7 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
     "sdfgrid": [{"grid": TensorXf(BLOB.astype(np.float32)), "to_world": T().translate([-0.3, -0.4, 1.2])}],
     "ply": [{"filename": tetrahedron_file(), "face_normals": True}],
     # Meshes of other files are sampled by the same code, and these two are no lights.
-    "obj": [], "serialized": [], "shapegroup": [], "instance": [], "merge": [],
+    "obj": [], "serialized": [], "shapegroup": [], "instance": [], "merge": [], "deforming": [],
     # No lights: tests/geometry/test_curves.py, tests/geometry/test_ellipsoids.py.
     "linearcurve": [], "bsplinecurve": [], "ellipsoids": [], "ellipsoidsmesh": [],
     "bitmap": [{"data": np.random.default_rng(0).random((4, 8), dtype=np.float32)}],

@@ -31,7 +31,7 @@ class Light:
     def power(self) -> float:
         return self.watts if self.bound is None else self.bound.power
 
-    def bounds(self) -> LightBounds | None:
+    def bounds_in_time(self) -> LightBounds | None:
         return self.bound
 
 

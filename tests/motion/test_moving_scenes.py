@@ -68,6 +68,15 @@ def meshes() -> dict[str, Any]:
     return described(moving=bump(to_world=A(keys), bsdf=RED), still=bump(to_world=T().translate([1, 0, -1]).scale(0.4)))
 
 
+def deformed() -> dict[str, Any]:
+    """A mesh through three shapes, one of which also turns."""
+    sets = {name: bump(to_world=T().scale(size)) for name, size in (("a", [1, 1, 1]), ("b", [0.6, 1.3, 1]))}
+    sets["c"] = bump(to_world=T().rotate([0, 1, 0], 40).scale([1, 0.5, 1]))
+    soft = {"type": "deforming", **sets, "times": [0, 0.4, 1], "to_world": turned(0, 0.4, -0.8), "bsdf": RED}
+    moving = {"type": "deforming", **sets, "to_world": A({0: turned(0, 0.4, 0.5), 1: turned(60, 0.4, 0.8)})}
+    return described(soft=soft, moving=moving, ball={"type": "sphere", "radius": 0.3})
+
+
 def instances() -> dict[str, Any]:
     group = {"type": "shapegroup", "a": bump(to_world=turned(0, 0.4, 0.5)), "b": {"type": "sphere", "radius": 0.3}}
     shown = {"g": {"type": "ref", "id": "group"}, "type": "instance"}
@@ -112,7 +121,7 @@ def cameras() -> dict[str, Any]:
 
 
 SCENES: dict[str, Callable[[], dict[str, Any]]] = {
-    f.__name__: f for f in (solids, meshes, instances, lamps, beams, cameras)
+    f.__name__: f for f in (solids, meshes, deformed, instances, lamps, beams, cameras)
 }
 
 
@@ -188,3 +197,34 @@ def test_rays_of_scripts_see_what_is_there_at_their_time() -> None:
     assert np.array(si.is_valid()).tolist() == [True, False, False, True]
     assert np.allclose(np.array(si.n)[:, [0, 3]], [[0, 0], [0, 0], [1, 1]], atol=1e-5)
     assert np.array(scene.ray_test(rays)).tolist() == [True, False, False, True]
+
+
+def test_vertex_sets_can_be_edited() -> None:
+    scene = djpt.load_dict(deformed())
+    params = djpt.traverse(scene)
+    sets = np.array(params["soft.vertex_sets"])
+    sets[1] *= 1.2
+    params["soft.vertex_sets"] = djpt.TensorXf(sets)
+    params.update()
+    size = (np.array(djpt.render(scene.at_time(0.4), spp=16)) < 0.7).mean()
+    assert size > (np.array(djpt.render(djpt.load_dict(deformed()).at_time(0.4), spp=16)) < 0.7).mean()
+
+
+TENT = djpt.Mesh("tent", [[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+WIDE = djpt.Mesh("wide", [[0, 0, 0], [2, 0, 0], [0, 1, 0], [1, 1, 0]], [[0, 1, 2], [1, 3, 2]])
+
+
+@pytest.mark.parametrize(
+    ("parts", "message"),
+    [
+        ({"a": TENT}, "two or more"),
+        ({"a": TENT, "b": {"type": "sphere"}}, "two or more"),
+        ({"a": TENT, "b": WIDE}, "the same triangles"),
+        ({"a": TENT, "b": TENT, "times": [1, 0]}, "ascending"),
+        ({"a": TENT, "b": TENT, "times": [0, 1, 2]}, "2 ascending numbers"),
+        ({"a": TENT, "b": TENT, "e": {"type": "area"}}, "can't emit light"),
+    ],
+)
+def test_meshes_that_cannot_deform_say_so(parts: dict[str, Any], message: str) -> None:
+    with pytest.raises(djpt.SceneError, match=message):
+        djpt.load_dict({"type": "deforming", **parts})

@@ -222,7 +222,7 @@ class MeshSet:
         if self._flips.any:
             n, shading = self._flips.choose(row, -n, n), self._flips.choose(row, -shading, shading)
         p = dr.fma(p0, b0, dr.fma(p1, b1, p2 * b2))
-        return Surface(p, n, self._frame(shading, dp_du), uv, dp_du, dp_dv, Point2f(b1, b2))
+        return Surface(p, n, self.shading_frame(shading, dp_du), uv, dp_du, dp_dv, Point2f(b1, b2))
 
     @property
     def smooth(self) -> bool:
@@ -235,9 +235,9 @@ class MeshSet:
         flipped = self._flips.choose(row, -n, n) if self._flips.any else n
         shading = self.normal_of(row, (1 - b.x - b.y, b.x, b.y), flipped)
         shading = self._flips.choose(row, -shading, shading) if self._flips.any else shading
-        return self._frame(shading, dp_du)
+        return self.shading_frame(shading, dp_du)
 
-    def _frame(self, n: Vector3f, dp_du: Vector3f) -> Frame3f:
+    def shading_frame(self, n: Vector3f, dp_du: Vector3f) -> Frame3f:
         """The shading frame whose `s` follows dp/du."""
         s = dr.fma(n, -dr.dot(n, dp_du), dp_du)
         squared = dr.squared_norm(s)
