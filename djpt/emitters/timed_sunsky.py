@@ -141,8 +141,10 @@ class TimedSunSky(Daylight):
             irradiances = table("irradiance").at(self.turbidity - 1).numbers
             row = dr.arange(UInt32, ELEVATIONS)
             red, green, blue, of_sun, of_sky = (dr.gather(Float, irradiances, row * 5 + k) for k in range(5))
-            of_sky = of_sky * self.sky_scale
-            both = of_sky + of_sun * self.sun_scale
+            # Copies: Dr.Jit would give a scale of 0, if it is only held here, the width of what it is multiplied with.
+            sky_scale, sun_scale = Float(dr.detach(self.sky_scale)), Float(dr.detach(self.sun_scale))
+            of_sky = of_sky * sky_scale
+            both = of_sky + of_sun * sun_scale
             suns = Array4f(red, green, blue, dr.select(both > 0, of_sky / both, 1))
             fitted = table("density").swapped().at(self.turbidity - 1).numbers
             cell = dr.arange(UInt32, ELEVATIONS * 6)

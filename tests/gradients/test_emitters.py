@@ -27,11 +27,12 @@ class EmitterSlopes(Slopes):
         integrator = {"type": "prb", "max_depth": 4, "rr_depth": 1000}
         scene = djpt.load_dict(floor_scene({"light": entry(name)}, size=self.size, integrator=integrator))
         params, rng = djpt.traverse(scene), np.random.default_rng(3)
-        refused = {"light.sun_direction"} if entry(name).get("sun_scale", 1) else set()
+        # By the sun's direction only without a sun.
+        left_out = {"light.sun_direction" if entry(name).get("sun_scale", 1) else "light.sun_scale"}
         at, along = {}, {}
         # Of a shape that shines, what the emitter in it has.
         prefix = "light.emitter." if "emitter" in entry(name) else "light."
-        for key in differentiable(params, prefix, JUMPS.get(name, set()) | refused):
+        for key in differentiable(params, prefix, JUMPS.get(name, set()) | left_out):
             value = numbers(params[key])
             # Off the ends of all ranges; angles in degrees have as much effect as other numbers by larger steps.
             degrees = key.endswith(("angle", "width"))

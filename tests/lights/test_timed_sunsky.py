@@ -186,6 +186,22 @@ def test_an_edit_is_a_new_description() -> None:
         params.update()
 
 
+@pytest.mark.parametrize("key", ["sky_scale", "sun_scale"])
+def test_a_scale_of_0_stays_a_single_number(key: str) -> None:
+    """Dr.Jit widens a literal 0 in place if only the plugin refers to it."""
+    light = djpt.load_dict(sky())
+    params = djpt.traverse(light)
+    params[key] = attached_zero()
+    params.update()
+    assert dr.width(params[key]) == 1
+
+
+def attached_zero() -> Float:
+    zero = Float(0)
+    dr.enable_grad(zero)
+    return zero
+
+
 @pytest.mark.parametrize(
     ("keys", "message"),
     [

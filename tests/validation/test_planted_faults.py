@@ -26,7 +26,7 @@ class Fault(NamedTuple):
 
 
 DIFFUSE, PATH, PHASE = "djpt.materials.diffuse:Diffuse", "djpt.integrators.path:Path", "djpt.phase.hg:HGPhaseFunction"
-FLIGHT = "djpt.media.homogeneous:Homogeneous.fly"
+FLIGHT = "djpt.media.homogeneous:Homogeneous.drawn"
 
 FAULTS = (
     Fault("cosine dropped", f"{DIFFUSE}.eval_pdf", "active) * pdf", "active) * INV_PI", "point light"),
