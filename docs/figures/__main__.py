@@ -7,6 +7,7 @@ import sys
 
 import box
 import cards
+import cells
 import chains
 import comparison
 import ends
@@ -29,7 +30,7 @@ FIGURES = {
     name: getattr(module, name)
     for module in (
         *(proof, box, surfaces, illumination, mist, vapour, observers, estimators, ends, slopes),
-        *(experiments, rounds, window, comparison, house, chains, packets, cards),
+        *(experiments, rounds, window, comparison, house, chains, packets, cells, cards),
     )
     for name in module.__all__
 }

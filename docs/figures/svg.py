@@ -1,9 +1,10 @@
-"""Drawings of boxes and arrows as SVG: text that is the same wherever it is made."""
+"""Drawings of boxes, lines and arrows as SVG: text that is the same wherever it is made."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from html import escape
+from typing import Any
 
 __all__ = ["BLUE", "GREY", "RED", "Box", "Drawing"]
 
@@ -41,6 +42,24 @@ class Drawing:
         self.parts.append(
             f'<rect x="{box.x:g}" y="{box.y:g}" width="{box.width:g}" height="{box.height:g}" rx="5" '
             f'fill="{fill}" stroke="{stroke}"/>'
+        )
+
+    def polygon(
+        self, points: Any, fill: str = "none", stroke: str = GREY, width: float = 1, opacity: float = 1
+    ) -> None:
+        """Draw a polygon through points (n, 2)."""
+        corners = " ".join(f"{x:.5g},{y:.5g}" for x, y in points)
+        clear = "" if opacity == 1 else f' fill-opacity="{opacity:g}"'
+        self.parts.append(
+            f'<polygon points="{corners}" fill="{fill}" stroke="{stroke}" stroke-width="{width:g}"{clear}/>'
+        )
+
+    def line(self, points: Any, color: str = GREY, width: float = 1.4, *, dashed: bool = False) -> None:
+        """Draw a line through points (n, 2)."""
+        corners = " ".join(f"{x:.5g},{y:.5g}" for x, y in points)
+        dashes = ' stroke-dasharray="5 4"' if dashed else ""
+        self.parts.append(
+            f'<polyline points="{corners}" fill="none" stroke="{color}" stroke-width="{width:g}"{dashes}/>'
         )
 
     def text(

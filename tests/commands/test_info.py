@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 import djpt
 from djpt.apps.cli.console import ExitCode
-from djpt.apps.cli.info import describe
+from djpt.apps.cli.info import compare_structures, describe
 from djpt.apps.cli.main import app
 from tests.kit.triangle_soups import sphere
 
@@ -43,6 +43,16 @@ def test_info_describes_the_tree_of_a_mesh() -> None:
     assert 1 < float(said["SAH cost"]) < len(ball.indices) / 20
     assert float(said["memory"].split()[0]) > 0.1
     assert 0 < float(said["built in"].split()[0]) < 10
+
+
+def test_info_compares_acceleration_structures() -> None:
+    lines = compare_structures(djpt.load_dict({**djpt.cornell_box(), "ball": mesh(300)})).splitlines()
+    assert [line[:12].strip() for line in lines[1:]] == ["BVH", "simple BVH", "grid", "octree", "kd-tree", "BSP tree"]
+    for line in lines[1:]:
+        nodes, references, depth, cost, *_ = (float(word) for word in line[12:].split())
+        assert nodes > 10 and references >= 288 and depth >= 1 and 1 < cost < 100
+    result = CliRunner().invoke(app, ["info", "cornell_box", "--structures"])
+    assert result.stdout.splitlines()[-1] == "no triangles to build structures for"
 
 
 def test_info_explains_unknown_scenes() -> None:

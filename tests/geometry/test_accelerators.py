@@ -1,4 +1,4 @@
-"""The BVH, the grid, the kd-tree and brute force answer the same, and answer right."""
+"""The BVHs, the grid, the octree, the kd-tree, the BSP tree and brute force answer the same, and answer right."""
 
 from __future__ import annotations
 
@@ -15,15 +15,26 @@ from numpy.typing import NDArray
 from djpt.core.records import Ray3f
 from djpt.geometry.accelerators.base import Accelerator, Approach
 from djpt.geometry.accelerators.brute_force import BruteForce, closest_in_double
+from djpt.geometry.accelerators.bsp import BspTree, clip
 from djpt.geometry.accelerators.bvh import Bvh
 from djpt.geometry.accelerators.grid import UniformGrid
 from djpt.geometry.accelerators.kdtree import KdTree
+from djpt.geometry.accelerators.octree import Octree, overlap
+from djpt.geometry.accelerators.simple_bvh import SimpleBvh
 from djpt.jit.types import Float, Point3f, UInt32, Vector3f
 from tests.kit.arrays import floats, rows
 from tests.kit.processes import ROOT, run_python
-from tests.kit.triangle_soups import SOUPS, sphere
+from tests.kit.triangle_soups import SOUPS, scattered, sphere
 
-KINDS = {"bvh": Bvh, "plain bvh": partial(Bvh, method="longest_axis"), "grid": UniformGrid, "kd-tree": KdTree}
+KINDS = {
+    "bvh": Bvh,
+    "plain bvh": partial(Bvh, method="longest_axis"),
+    "simple bvh": SimpleBvh,
+    "grid": UniformGrid,
+    "octree": Octree,
+    "kd-tree": KdTree,
+    "bsp tree": BspTree,
+}
 
 
 def rays_at(corners: NDArray[np.float32], count: int, seed: int = 0) -> tuple[NDArray[np.float32], ...]:
@@ -77,6 +88,70 @@ def test_all_structures_find_the_hits_of_brute_force(name: str, kind: str) -> No
         approach = Approach(brute.table, ray)
         own = brute.table.visit(approach, UInt32(face_too), approach.nothing_yet())
         np.testing.assert_array_equal((own.t + approach.entry).numpy()[any_hit], t[any_hit])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["scattered", "crowd", "sphere", "giants_among_dwarfs", "flat", "far_away"])
+def test_a_hundred_thousand_rays_have_the_hits_of_brute_force(name: str) -> None:
+    corners = scattered(2000, seed=8) if name == "crowd" else SOUPS[name]()
+    o, d = rays_at(corners, 110_000, seed=5)
+    # A ray towards a triangle that shrinks to its own origin has no direction.
+    good = np.flatnonzero(np.linalg.norm(d, axis=1) > 0.5)[:100_000]
+    assert len(good) == 100_000
+    ray = ray_of(o[good], d[good])
+    t, _, any_hit = answers(BruteForce(corners), ray)
+    assert 0.1 < any_hit.mean() < 1
+    for kind in ("simple bvh", "grid", "octree", "kd-tree", "bsp tree"):
+        t_too, _, any_too = answers(KINDS[kind](corners), ray)
+        np.testing.assert_array_equal(t_too, t, err_msg=kind)
+        np.testing.assert_array_equal(any_too, any_hit, err_msg=kind)
+
+
+@pytest.mark.parametrize("corners", [SOUPS["scattered"](), sphere(400)], ids=["scattered", "sphere"])
+def test_cells_of_the_bsp_tree_fill_the_box_and_know_their_triangles(corners: NDArray[np.float32]) -> None:
+    tree = BspTree(corners)
+    leaves = tree.leaves()
+    rng = np.random.default_rng(3)
+    points = rng.uniform(tree.low, tree.high, (300, 3))
+    faces = rng.integers(len(corners), size=300)
+    weights = rng.dirichlet(np.ones(3), 300)
+    center = tree.table.center.numpy().ravel().astype(np.float64)
+    on_faces = np.einsum("pk,pka->pa", weights, corners[faces].astype(np.float64)) - center
+    inside, listed = np.zeros(300, int), np.zeros(300, bool)
+    for cell, own in leaves:
+        inside += (points @ cell[:, :3].T <= cell[:, 3]).all(axis=1)
+        listed |= (on_faces @ cell[:, :3].T <= cell[:, 3]).all(axis=1) & np.isin(faces, own)
+    np.testing.assert_array_equal(inside, 1)
+    assert listed.all()
+    # Of the planes many are neither across an axis nor the same.
+    normals = np.concatenate([cell[6:, :3] for cell, _ in leaves])
+    assert (np.abs(normals).max(axis=1) < 0.99).mean() > 0.2
+
+
+def test_polygons_are_cut_at_the_plane() -> None:
+    square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 1, 0], [0, 1, 0]], np.float64)
+    for at, area in ((0.25, 0.25), (1.0, 1.0), (0.5, 0.5)):
+        (part,) = clip(square[None], square[None, :, 0] - at)
+        x, y = part[:, 0], part[:, 1]
+        np.testing.assert_allclose(0.5 * abs(np.dot(x, np.roll(y, 1)) - np.dot(y, np.roll(x, 1))), area)
+    corner = square[None] @ np.array([1.0, 1, 0]) - 1.5
+    (part,) = clip(square[None], corner)
+    assert len(np.unique(part, axis=0)) == 5
+
+
+def test_triangles_overlap_boxes_that_they_cut() -> None:
+    rng = np.random.default_rng(4)
+    corners = rng.uniform(-1, 2, (500, 3, 3)) * [1, 1, 0.3] + rng.uniform(-1, 1, (500, 1, 3))
+    low, high = np.zeros((500, 3), np.float32), np.ones((500, 3), np.float32)
+    bounds = ((corners.min(axis=1) <= 1) & (corners.max(axis=1) >= 0)).all(axis=1)
+    found = bounds & overlap(corners, low, high, 0.0)
+    weights = rng.dirichlet(np.full(3, 0.7), 6000)
+    points = np.einsum("wk,pka->pwa", weights, corners)
+    seen = ((points >= 0) & (points <= 1)).all(axis=2).any(axis=1)
+    assert not (seen & ~found).any()
+    # Points miss small corners of triangles, no more.
+    assert (found & ~seen).sum() < 0.03 * found.sum()
+    assert found.sum() < 0.9 * bounds.sum()
 
 
 @pytest.mark.parametrize("name", ["scattered", "sphere", "giants_among_dwarfs", "far_away"])
@@ -165,5 +240,6 @@ def test_the_benchmark_runs() -> None:
     options = ["--triangles", "500", "--rays", "2000", "--rounds", "1", "--all"]
     done = run_python(str(ROOT / "benchmarks" / "accelerators.py"), *options)
     assert done.returncode == 0, done.stderr
-    names = [line.split("  ")[0] for line in done.stdout.splitlines()[-7:]]
-    assert names == ["Mitsuba", "BVH", "BVH, longest_axis", "BVH, median", "grid", "kd-tree", "brute force"]
+    names = [line.split("  ")[0] for line in done.stdout.splitlines()[-10:]]
+    trees = ["BVH", "BVH, longest_axis", "BVH, median", "simple BVH", "grid", "octree", "kd-tree", "BSP tree"]
+    assert names == ["Mitsuba", *trees, "brute force"]

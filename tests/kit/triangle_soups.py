@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["SOUPS", "exponential", "giants_among_dwarfs", "sphere"]
+__all__ = ["SOUPS", "exponential", "giants_among_dwarfs", "scattered", "sphere"]
 
 Corners = NDArray[np.float32]
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from djpt.scene.scene import Scene
     from djpt.shapes.base import Shape
 
-__all__ = ["describe", "info", "scenes"]
+__all__ = ["compare_structures", "describe", "info", "scenes"]
 
 
 def describe(scene: Scene) -> str:
@@ -57,6 +57,38 @@ def of_triangles(triangles: Triangles, shapes: Sequence[Shape]) -> list[tuple[st
     ]
 
 
+def compare_structures(scene: Scene) -> str:
+    """A table of acceleration structures, each built over the triangles of a scene's meshes.
+
+    The triangles are those that are stored, without instances. See docs/theory/acceleration.md.
+    """
+    import numpy as np
+
+    from djpt.geometry.accelerators.bsp import BspTree
+    from djpt.geometry.accelerators.bvh import Bvh
+    from djpt.geometry.accelerators.grid import UniformGrid
+    from djpt.geometry.accelerators.kdtree import KdTree
+    from djpt.geometry.accelerators.octree import Octree
+    from djpt.geometry.accelerators.simple_bvh import SimpleBvh
+    from djpt.shapes.mesh import Mesh
+    from djpt.shapes.shapegroup import ShapeGroup
+
+    shapes = [*scene.shapes(), *(s for group in scene.shapes() if isinstance(group, ShapeGroup) for s in group.shapes)]
+    meshes = [shape for shape in shapes if isinstance(shape, Mesh) and len(shape.indices)]
+    if not meshes:
+        return "no triangles to build structures for"
+    corners = np.concatenate([mesh.positions[mesh.indices] for mesh in meshes])
+    kinds = {"BVH": Bvh, "simple BVH": SimpleBvh, "grid": UniformGrid, "octree": Octree, "kd-tree": KdTree}
+    lines = [f"{'':<12}{'nodes':>10}{'references':>12}{'depth':>7}{'SAH cost':>10}{'MiB':>8}{'seconds':>9}"]
+    for name, kind in {**kinds, "BSP tree": BspTree}.items():
+        found = kind(corners).statistics()
+        lines.append(
+            f"{name:<12}{found.nodes:>10}{found.references:>12}{found.depth:>7}{found.sah_cost:>10.2f}"
+            f"{found.bytes / 2**20:>8.1f}{found.build_seconds:>9.3f}"
+        )
+    return "\n".join(lines)
+
+
 def faces_of(shape: Shape) -> int:
     """The number of a shape's triangles, those of instances included."""
     from djpt.shapes.instance import Instance
@@ -76,7 +108,8 @@ def counted(plugins: Sequence[object]) -> str:
 @click.command("info", cls=Command, epilog=options.SCENE)
 @options.scene
 @options.define
-def info(scene: str, define: tuple[str, ...]) -> None:
+@click.option("--structures", is_flag=True, help="Build other acceleration structures, too, and compare them.")
+def info(scene: str, define: tuple[str, ...], structures: bool) -> None:
     """Print the contents of SCENE.
 
     This includes statistics of the tree over its triangles.
@@ -84,7 +117,10 @@ def info(scene: str, define: tuple[str, ...]) -> None:
     description = described_scene(scene, define)[1]
     import djpt
 
-    print(describe(djpt.load_dict(description)))
+    loaded = djpt.load_dict(description)
+    print(describe(loaded))
+    if structures:
+        print(f"\n{compare_structures(loaded)}")
 
 
 @click.command("scenes", cls=Command)

@@ -20,7 +20,7 @@ from djpt.geometry.triangle import RayPlane, intersect_triangle
 from djpt.jit.kernels import aligned, as_float, as_vector, maximum, minimum, while_loop, wide
 from djpt.jit.types import ArrayXu, Bool, Float, Point3f, UInt32, Vector3f
 
-__all__ = ["NO_FACE", "Accelerator", "Approach", "Found", "SearchedTable", "Statistics", "TriangleTable"]
+__all__ = ["NO_FACE", "Accelerator", "Approach", "Found", "SearchedTable", "Statistics", "TriangleTable", "half_area"]
 
 NO_FACE = 0xFFFFFFFF
 
@@ -169,3 +169,10 @@ class SearchedTable:
     def any_hit(self, ray: Ray3f) -> Bool:
         """Whether there is a hit with 0 < t < maxt."""
         return self.search(Approach(self.table, ray), True).face != NO_FACE
+
+
+def half_area(low: NDArray[np.float32], high: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Half the surface area of boxes with the corners `low`, `high` (..., 3)."""
+    e = high.astype(np.float64) - low
+    area: NDArray[np.float64] = e[..., 0] * e[..., 1] + e[..., 1] * e[..., 2] + e[..., 2] * e[..., 0]
+    return area

@@ -18,7 +18,15 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.geometry.accelerators.base import NO_FACE, Approach, Found, SearchedTable, Statistics, TriangleTable
+from djpt.geometry.accelerators.base import (
+    NO_FACE,
+    Approach,
+    Found,
+    SearchedTable,
+    Statistics,
+    TriangleTable,
+    half_area,
+)
 from djpt.jit.kernels import as_vector, shared, while_loop, wide
 from djpt.jit.types import ArrayXu, Bool, Float, UInt32
 
@@ -162,13 +170,6 @@ class KdTree(SearchedTable):
         """Measure the tree's size and quality."""
         memory = 4 * (dr.width(self._words) + dr.width(self._faces) + dr.width(self.table.words))
         return Statistics(self.table.count, self.nodes, self.references, self.depth, self.cost, memory, self.seconds)
-
-
-def half_area(low: NDArray[np.float32], high: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Half the surface area of boxes with the corners `low`, `high` (..., 3)."""
-    e = high.astype(np.float64) - low
-    area: NDArray[np.float64] = e[..., 0] * e[..., 1] + e[..., 1] * e[..., 2] + e[..., 2] * e[..., 0]
-    return area
 
 
 def interval(level: Nodes, table: TriangleTable, axis: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
