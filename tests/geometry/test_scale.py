@@ -34,8 +34,8 @@ def image(description: dict[str, Any], **options: Any) -> NDArray[np.float32]:
 def check_means(name: str, where: Sequence[Place]) -> None:
     """The means of images within 0.1 % of that of the scene at unit size, with equal seeds.
 
-    Scenes a little smaller than that are rendered at their own scale, and rays leave surfaces by Mitsuba's offset, which
-    doesn't shrink with them: chords of a ball of fog of radius 0.03 are wrong by up to 0.3 %.
+    Scenes a little smaller than that are rendered at their own scale, and rays leave surfaces by Mitsuba's offset,
+    which doesn't shrink with them: chords of a ball of fog of radius 0.03 are wrong by up to 0.3 %.
     """
     reference = image(PLACED[name](Place()), spp=256).mean()
     for place in where:
