@@ -14,6 +14,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
+from djpt.core.transforms.lanes import Transform4f
 from djpt.description.animation import PARTS, AnimatedTransform4f
 from djpt.errors import RenderError
 from djpt.jit.frozen import recording
@@ -24,6 +25,7 @@ from djpt.rendering.image import film_image, image_derivative, require_still
 from djpt.rendering.settings import RenderSettings
 from djpt.scene.scene import Scene
 from djpt.scene.still import StillScene
+from djpt.shapes.silhouettes.moving import AttachedTransform
 
 __all__ = ["needs_slices", "sliced_image"]
 
@@ -46,14 +48,22 @@ def animations(scene: Scene, settings: RenderSettings) -> list[AnimatedTransform
 
 
 def every_parameter(scene: Scene, settings: RenderSettings) -> list[Parameter]:
-    """All that has gradients: values of materials and lights, and keyframes."""
+    """All that has gradients: values of materials and lights, the places of what stays, and keyframes."""
     keyframes = [
         Parameter(motion, name)
         for motion in animations(scene, settings)
         for name in PARTS
         if dr.grad_enabled(getattr(motion, name))
     ]
-    return [*attached_parameters(scene), *keyframes]
+    return [*attached_parameters(scene), *motion_parameters(scene, settings.sensor), *keyframes]
+
+
+def put(parameter: Parameter, value: Any) -> None:
+    """Give a parameter another value, which may have gradients."""
+    if parameter.attribute == "attached_matrix":
+        parameter.owner.to_world = AttachedTransform(Transform4f(value))  # type: ignore[attr-defined]
+    else:
+        setattr(parameter.owner, parameter.attribute, value)
 
 
 def sliced_image(scene: Scene, params: Any, settings: RenderSettings) -> TensorXf:
@@ -70,12 +80,6 @@ def sliced_image(scene: Scene, params: Any, settings: RenderSettings) -> TensorX
         raise RenderError(
             f"'{settings.sensor.id()}' has a rolling shutter, whose rows see different times: there are no "
             f"{lacks}; possible: images by integrators that start at the camera, such as 'path'"
-        )
-    placed = motion_parameters(scene, settings.sensor)
-    if placed:
-        raise RenderError(
-            f"'{placed[0].owner.id()}' has gradients in a scene in which something moves: there are derivatives by "
-            "keyframes, 'to_world.translation' and the like, but none by the places of what is still"
         )
     if parameters:
         first = slices_of(settings, settings.sample_count)[0]
@@ -170,11 +174,11 @@ class SlicedDerivative:
         dr.enable_grad(fresh)
         try:
             for parameter, leaf in zip(self._parameters, fresh, strict=True):
-                setattr(parameter.owner, parameter.attribute, leaf)
+                put(parameter, leaf)
             yield fresh
         finally:
             for parameter, value in zip(self._parameters, before, strict=True):
-                setattr(parameter.owner, parameter.attribute, value)
+                put(parameter, value)
 
     def _each(self, derivative: Callable[[Slice, Scene, RenderSettings], None]) -> None:
         for part in self._slices:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import copy
 from typing import TYPE_CHECKING, Any
 
+import drjit as dr
 import numpy as np
 
 from djpt.core.transforms import ScalarTransform4f
 from djpt.description.animation import AnimatedTransform4f
+from djpt.errors import RenderError
 from djpt.jit.kernels import may_wait
 from djpt.jit.types import Float, Point3f
 
@@ -63,9 +65,14 @@ class StillScene:
 
     def _shape(self, shape: Any) -> None:
         motion, shape.motion = shape.motion, None
+        attached = shape.__dict__.get("vertex_positions")
         if shape.deforms:
             shape.at_time(self._time)
         shape.leave()
+        if attached is not None and dr.grad_enabled(attached):
+            if motion is not None:
+                raise RenderError(f"'{shape.id()}' moves: there are derivatives by its keyframes, not by its vertices")
+            shape.vertex_positions = attached
         if shape.class_name() == "ShapeGroup":
             shape.named = [(key, self.copy_of(inner)) for key, inner in shape.named]
             return

@@ -79,7 +79,7 @@ class Sensor(SampledRays, Endpoint):
         self.to_world = props.transform("to_world")
         if self.motion is not None:
             with props.naming("to_world"):
-                self.motion.demand("rigid", "must not scale: a camera has no size")
+                self._demand_size()
         try:
             self.check_placement(self.to_world)
         except SceneError as error:
@@ -91,6 +91,15 @@ class Sensor(SampledRays, Endpoint):
         self.rolls = "rolling_shutter" in props
         """Whether the time of a sample depends on its row."""
         self._rolling_shutter = props.float("rolling_shutter", 0.0)
+
+    def _demand_size(self) -> None:
+        """Require of an animation that it scales as little as the `to_world` of the sensor may."""
+        try:
+            self.check_placement(ScalarTransform4f().scale(2.0))
+        except SceneError:
+            self.motion.demand("rigid", "must not scale: a camera has no size")
+        else:
+            self.motion.demand("similar", "must scale uniformly")
 
     @staticmethod
     def check_placement(transform: ScalarTransform4f) -> None:
@@ -267,7 +276,9 @@ class Sensor(SampledRays, Endpoint):
         if self.carrier is None:
             return ray
         placement = self.carrier.placement(ray.time)
-        return ray.replaced(o=placement.point(ray.o), d=placement.vector(ray.d))
+        d = placement.vector(ray.d)
+        size = dr.abs(placement.scale.x)  # of parallel rays, whose distances grow with it
+        return ray.replaced(o=placement.point(ray.o), d=d / size, maxt=ray.maxt * size)
 
     def ray_through(self, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True) -> Ray3f:
         """Sample the ray through a position in [0, 1]^2 of the film's crop window, y downwards.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import djpt  # noqa: F401 # isort: skip (first: it finds the LLVM library that Dr.Jit opens)
 import sys
 
+import blur
 import box
 import cards
 import cells
@@ -29,7 +30,7 @@ from places import IMAGES
 FIGURES = {
     name: getattr(module, name)
     for module in (
-        *(proof, box, surfaces, illumination, mist, vapour, observers, estimators, ends, slopes),
+        *(proof, box, surfaces, illumination, mist, vapour, observers, blur, estimators, ends, slopes),
         *(experiments, rounds, window, comparison, house, chains, packets, cells, cards),
     )
     for name in module.__all__

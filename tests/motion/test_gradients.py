@@ -154,6 +154,30 @@ def test_a_velocity_is_found_from_one_blurred_picture() -> None:
 
 
 @pytest.mark.slow
+def test_a_focal_length_is_found_from_one_blurred_picture() -> None:
+    """Of a camera that stays, by what passes."""
+    camera = {**SENSOR, "type": "perspective", "near_clip": 0.1}
+    wanted, fov = 25.0, 22.0
+    target = djpt.render(
+        bright(passing(), sensor={**camera, "fov": wanted}), spp=4096, integrator=djpt.load_dict({"type": "direct"})
+    )
+    scene = bright(passing(), sensor={**camera, "fov": fov})
+    params = djpt.traverse(scene)
+    for k in range(5):
+        angle = djpt.Float(fov)
+        dr.enable_grad(angle)
+        params["sensor.x_fov"] = angle
+        params.update()
+        image = djpt.render(scene, params, spp=256 << k, spp_grad=128 << min(k, 2), seed=10 + k)
+        dr.set_grad(angle, 1.0)
+        change = np.array(dr.forward_to(image)).ravel()
+        residual = np.array(target).ravel() - np.array(dr.detach(image)).ravel()
+        fov += float(change @ residual / (change @ change))
+    focal_length = 1 / np.tan(np.radians([wanted, fov]) / 2)
+    assert focal_length[1] == pytest.approx(focal_length[0], rel=0.01)
+
+
+@pytest.mark.slow
 def test_a_speed_of_rotation_is_found_from_one_blurred_picture() -> None:
     """A square that turns about its middle, by the angle at the end of the exposure."""
 

@@ -96,7 +96,7 @@ class Ray3f(Record):
 
     @property
     def time(self) -> Float:
-        """The time, which is carried along: no shape moves in djpt, but some light varies (`timed_sunsky`).
+        """The time, which is carried along: what moves, and light that varies, is seen as it is then.
 
         Rays without one have the time 0 and take no memory for it. So in loops and selects they don't mix with rays of
         another time.
