@@ -232,7 +232,7 @@ class Attributes(TraversalCallback):
         self._plugin = plugin
         self.found: dict[str, Any] = {}
 
-    def put(self, name: str, value: Any, flags: Any = 0, attribute: str | None = None) -> None:
+    def put(self, name: str, value: Any, flags: Any = None, attribute: str | None = None) -> None:
         """Note a parameter: see `TraversalCallback.put`."""
         held = value if isinstance(value, Plugin) else getattr(self._plugin, attribute or name, value)
         if getattr(held, "kind", None) == "texture" or (dr.is_array_v(held) and dr.is_float_v(held)):

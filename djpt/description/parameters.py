@@ -96,29 +96,35 @@ class Walk:
     def __init__(self, root: Plugin) -> None:
         self.entries: dict[str, Entry] = {}
         self.parents: dict[int, Plugin | None] = {id(root): None}
-        root.traverse(Visit(self, root, ()))
+        root.traverse(Visit(self, root, (), ParamFlags.Differentiable))
 
 
 class Visit(TraversalCallback):
     """The traversal callback of one plugin."""
 
-    def __init__(self, walk: Walk, node: Plugin, path: tuple[str, ...]) -> None:
+    def __init__(self, walk: Walk, node: Plugin, path: tuple[str, ...], inherited: ParamFlags) -> None:
         self.walk, self.node, self.path = walk, node, path
+        self.inherited = inherited
+        """The flags that those who nest the plugin add to its parameters'."""
 
     def put(
         self,
         name: str,
         value: Any,
-        flags: ParamFlags = ParamFlags.NonDifferentiable,
+        flags: ParamFlags | None = None,
         attribute: str | None = None,
     ) -> None:
         """Add a parameter or a nested plugin: see `djpt.description.plugin.TraversalCallback`."""
         if isinstance(value, Plugin):
             if id(value) not in self.walk.parents:
                 self.walk.parents[id(value)] = self.node
-                value.traverse(Visit(self.walk, value, (*self.path, name)))
+                inherited = self.inherited | ParamFlags(int(flags or 0))
+                value.traverse(Visit(self.walk, value, (*self.path, name), inherited))
             return
         key = ".".join((*self.path, name))
+        flags = self.inherited | (ParamFlags.NonDifferentiable if flags is None else flags)
+        if not flags.differentiable:
+            flags &= ~ParamFlags.Discontinuous
         self.walk.entries[key] = Entry(self.node, name, attribute or name, flags, self.path)
 
 

@@ -101,20 +101,27 @@ class TraversalCallback:
         self,
         name: str,
         value: Any,
-        flags: ParamFlags = ParamFlags.NonDifferentiable,
+        flags: ParamFlags | None = None,
         attribute: str | None = None,
     ) -> None:
         """Report a parameter, or a nested `Plugin` (whose own parameters get the prefix `name`).
 
         A parameter is written back with ``setattr(plugin, attribute or name, value)``.
+
+        Args:
+            name: the parameter's name, or the prefix
+            value: the parameter, or the plugin
+            flags: the parameter's (default: not differentiable), or what is added to those of all that is nested in
+                the plugin (default: nothing)
+            attribute: the attribute that holds the parameter, if it has another name
         """
         raise NotImplementedError(f"{type(self).__name__}.put")
 
-    def put_value(self, name: str, value: Any, flags: ParamFlags = ParamFlags.NonDifferentiable) -> None:
+    def put_value(self, name: str, value: Any, flags: ParamFlags | None = None) -> None:
         """`put` for a parameter: a former name."""
         self.put(name, value, flags)
 
-    def put_object(self, name: str, obj: Plugin, flags: ParamFlags = ParamFlags.NonDifferentiable) -> None:
+    def put_object(self, name: str, obj: Plugin, flags: ParamFlags | None = None) -> None:
         """`put` for a nested plugin: a former name."""
         self.put(name, obj, flags)
 
@@ -294,7 +301,7 @@ class _Listing(TraversalCallback):
         self,
         name: str,
         value: Any,
-        flags: ParamFlags = ParamFlags.NonDifferentiable,
+        flags: ParamFlags | None = None,
         attribute: str | None = None,
     ) -> None:
         text = repr(value)
@@ -363,11 +370,9 @@ class Collection(TraversalCallback):
     def __init__(self) -> None:
         self.flags: dict[str, ParamFlags] = {}
 
-    def put(
-        self, name: str, value: Any, flags: Any = ParamFlags.NonDifferentiable, attribute: str | None = None
-    ) -> None:
+    def put(self, name: str, value: Any, flags: Any = None, attribute: str | None = None) -> None:
         """Note a parameter: see `TraversalCallback.put`."""
-        self.flags[attribute or name] = flags
+        self.flags[attribute or name] = ParamFlags.NonDifferentiable if flags is None else flags
 
 
 class Report(TraversalCallback):
@@ -380,12 +385,10 @@ class Report(TraversalCallback):
     def __init__(self, plugin: Plugin, callback: TraversalCallback) -> None:
         self._plugin, self._callback = plugin, callback
 
-    def put(
-        self, name: str, value: Any, flags: Any = ParamFlags.NonDifferentiable, attribute: str | None = None
-    ) -> None:
+    def put(self, name: str, value: Any, flags: Any = None, attribute: str | None = None) -> None:
         """Report a parameter or a nested plugin, as in Mitsuba."""
-        flags = ParamFlags(int(flags))
         if not isinstance(value, Plugin):
+            flags = ParamFlags.NonDifferentiable if flags is None else ParamFlags(int(flags))
             attribute = attribute or self._attribute(name, value, flags)
             value = getattr(self._plugin, attribute)
             if not is_uniform(value):  # a constant of the kernel: it would get no gradient

@@ -55,8 +55,9 @@ class EnvironmentMap(InfiniteEmitter, OrientedEmitter):
     and `scale` (default 1, not negative), `to_world` (a rotation or reflection, default identity),
     `mis_compensation` (default false; true samples only what is brighter than the average: O. Karlik et al., "MIS
     Compensation: Optimizing Sampling Techniques in Multiple Importance Sampling", SIGGRAPH Asia 2019; not for
-    integrators that only sample lights). Not negative; a black sky is sampled uniformly. Of an image that is smaller
-    than 2 x 3 texels the last column and the last row are repeated.
+    integrators that only sample lights). Negative radiance, which filters leave in some files, is taken as it is,
+    and sampled by its magnitude; a black sky is sampled uniformly. Of an image that is smaller than 2 x 3 texels the
+    last column and the last row are repeated.
 
     The parameter `data` is a `TensorXf` (H, W + 2, 3), as in Mitsuba 3.9: the first column repeats the last texels,
     and the last column the first ones. These two are never read, so they have no gradients; `update` renews them
@@ -135,8 +136,9 @@ class EnvironmentMap(InfiniteEmitter, OrientedEmitter):
         rows, columns = self.data.shape[0], self.data.shape[1] - 2
         self.rows, self.columns = dr.opaque(UInt32, rows), dr.opaque(UInt32, columns)
         texels = numbers_of(self.data)[:, 1:-1] if not recording() else np.ones((rows, columns, 3))
-        self._mean = mean_over_sphere(texels)
-        weights = luminance(texels)
+        magnitudes = np.abs(texels)
+        self._mean = mean_over_sphere(magnitudes)
+        weights = luminance(magnitudes)
         everywhere = corner_weights(weights)
         if not everywhere.any():  # a black sky is sampled, too, until a script makes it brighter
             everywhere = corner_weights(np.ones_like(weights))
@@ -347,7 +349,7 @@ def check_radiance(data: TensorXf) -> None:
     rows, columns = data.shape[0], data.shape[1] - 2
     if columns < 2 or rows < 3:
         raise SceneError(f"must have at least 2 x 3 texels, found {columns} x {rows}")
-    Allowed(low=0.0, high=LARGEST).require(numbers_of(data)[:, 1:-1])
+    Allowed(low=-LARGEST, high=LARGEST).require(numbers_of(data)[:, 1:-1])
 
 
 def without_average(weights: NDArray[np.float64]) -> NDArray[np.float64]:

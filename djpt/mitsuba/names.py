@@ -197,6 +197,12 @@ REASONS: dict[str, str] = {
 """Reasons by pattern. ``*`` stands for any characters, as in file names."""
 
 
+FORMER: dict[str, str] = {
+    "Loop": "Mitsuba has dropped it; write `while` in a function under `@dr.syntax`, or call `dr.while_loop`.",
+}
+"""Names of earlier versions of Mitsuba, and what to write in place of them."""
+
+
 def reason(path: str) -> str:
     """Why a name is left out; empty if there is no reason."""
-    return next((why for pattern, why in REASONS.items() if fnmatchcase(path, pattern)), "")
+    return next((why for pattern, why in (REASONS | FORMER).items() if fnmatchcase(path, pattern)), "")

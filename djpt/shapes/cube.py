@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import drjit as dr
@@ -20,6 +21,8 @@ from djpt.jit.kernels import as_float, as_vector, maximum, minimum
 from djpt.jit.types import Float, Matrix4f, Point2f, Point3f, UInt32, Vector3f
 from djpt.shapes.axes import AxisPool, ProjectedRay, SignedAxis
 from djpt.shapes.base import Face, Hit, Shape
+from djpt.shapes.meshes.data import MeshData
+from djpt.shapes.meshes.queries import MeshQueries
 from djpt.shapes.mitsuba_api import ShapeType
 
 if TYPE_CHECKING:
@@ -75,8 +78,8 @@ def as_floats(values: NDArray[np.float64]) -> Float:
     return Float(values.astype(np.float32))
 
 
-class Cube(Shape):
-    """A parallelepiped; every face has its own uv in [0, 1]^2.
+class Cube(MeshQueries, Shape):
+    """A parallelepiped; every face has its own uv in [0, 1]^2. Scripts may ask it what they ask meshes.
 
     Parameters: `to_world` (affine, default identity), `flip_normals` (default false).
     Normals point outwards unless `flip_normals` is set.
@@ -90,6 +93,7 @@ class Cube(Shape):
     canonical = "cube"
     values = dict.fromkeys(("center", "edge_x", "edge_y", "edge_z", "dual_x", "dual_y", "dual_z", "areas"), HIDDEN)
     statics = ("flip_normals", "mirrored")
+    attributes: Mapping[str, Any] = MappingProxyType({})
 
     # ---- parameters: the names of Mitsuba's cube, which is a mesh ------------------
 
@@ -147,6 +151,14 @@ class Cube(Shape):
     def vertex_texcoords(self) -> Float:
         """One uv per vertex."""
         return Float(np.tile(np.array(CORNERS_UV, dtype=np.float32).ravel(), 6).tolist())
+
+    def data(self) -> MeshData:
+        """The 12 triangles on the host, in world space."""
+        flat = (self.vertex_positions, self.faces_parameter, self.vertex_normals, self.vertex_texcoords)
+        positions, faces, normals, texcoords = map(np.array, flat)
+        return MeshData(
+            positions.reshape(24, 3), faces.reshape(12, 3), normals.reshape(24, 3), texcoords.reshape(24, 2)
+        )
 
     def attached_parameter(self, name: str, value: Any) -> Any:
         fits = name == "vertex_positions" and self.can_be_followed()

@@ -24,7 +24,7 @@ __all__ = ["MeshPtr"]
 
 
 class MeshPtr(ShapePtr):
-    """The mesh of each lane, or none; other shapes count as none, also rectangles and cubes: they have no vertices.
+    """The mesh of each lane, or none; other shapes count as none, also rectangles: they have no vertices.
 
     Lookups are those of `djpt.Mesh`, asked of one mesh after the other; numbers are 0 where there is none.
     """

@@ -66,6 +66,32 @@ def test_the_same_as_mitsuba(both: tuple[Any, Any], call: str) -> None:
     np.testing.assert_allclose(mine, theirs, rtol=1e-5, atol=1e-6)
 
 
+@pytest.mark.parametrize("call", CALLS)
+def test_a_cube_answers_as_mitsubas_mesh(call: str) -> None:
+    mi = pytest.importorskip("mitsuba")
+    mi.set_variant("llvm_ad_rgb")
+    mine, theirs = (
+        np.array(
+            CALLS[call](m.load_dict({"type": "cube", "to_world": m.ScalarTransform4f().rotate([0.6, 0.8, 0], 30)}))
+        )
+        for m in (djpt, mi)
+    )
+    np.testing.assert_allclose(mine, theirs, rtol=1e-5, atol=1e-6)
+
+
+def test_a_cube_is_written_and_read(tmp_path: Path) -> None:
+    cube = djpt.load_dict({"type": "cube", "to_world": djpt.ScalarTransform4f().translate([1, 2, 3])})
+    cube.write_ply(tmp_path / "cube.ply")
+    read = djpt.load_dict({"type": "ply", "filename": str(tmp_path / "cube.ply")})
+    for name in ("vertex_positions", "vertex_normals", "vertex_texcoords", "faces"):
+        np.testing.assert_array_equal(np.array(djpt.traverse(read)[name]), np.array(djpt.traverse(cube)[name]))
+    pointer = djpt.MeshPtr([cube, djpt.load_dict({"type": "sphere"}), read])
+    assert list(pointer.vertex_count()) == [24, 0, 24]
+    assert list(cube.opposite_dedge(dr.arange(djpt.UInt32, 36))) == list(
+        read.opposite_dedge(dr.arange(djpt.UInt32, 36))
+    )
+
+
 def test_neighbours(both: tuple[Any, Any]) -> None:
     edges = dr.arange(djpt.UInt32, 9)
     for mesh in both:

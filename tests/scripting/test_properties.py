@@ -163,6 +163,41 @@ def test_callbacks_of_scripts() -> None:
         djpt.TraversalCallback().put("name", 1)
 
 
+def test_flags_of_nested_plugins_are_added_to_their_parameters() -> None:
+    class Inner(djpt.Texture):
+        def traverse(self, callback: Any) -> None:
+            callback.put("smooth", 0.1, djpt.ParamFlags.Differentiable)
+            callback.put("edge", 0.1, djpt.ParamFlags.Differentiable | djpt.ParamFlags.Discontinuous)
+
+    class Outer(djpt.BSDF):
+        def __init__(self, props: djpt.Properties) -> None:
+            super().__init__(props)
+            self.children_by_name = {name: Inner(djpt.Properties("inner")) for name in FLAGS}
+
+        def traverse(self, callback: Any) -> None:
+            for name, child in self.children_by_name.items():
+                callback.put(name, child, FLAGS[name]) if FLAGS[name] is not None else callback.put(name, child)
+
+    kinds = djpt.ParamFlags
+    FLAGS = {
+        "plain": None,
+        "as_said": kinds.Differentiable,
+        "fixed": kinds.NonDifferentiable,
+        "cut": kinds.Discontinuous,
+    }
+    params = djpt.traverse(Outer(djpt.Properties("outer")))
+    assert {key: params.flags(key) for key in params} == {
+        "plain.smooth": kinds.Differentiable,
+        "plain.edge": kinds.Discontinuous,
+        "as_said.smooth": kinds.Differentiable,
+        "as_said.edge": kinds.Discontinuous,
+        "fixed.smooth": kinds.NonDifferentiable,
+        "fixed.edge": kinds.NonDifferentiable,
+        "cut.smooth": kinds.Discontinuous,
+        "cut.edge": kinds.Discontinuous,
+    }
+
+
 def test_a_plugin_may_report_a_value_that_no_attribute_holds():
     class Passing(djpt.BSDF):
         changed: ClassVar[list[str]] = []

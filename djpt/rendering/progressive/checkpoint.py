@@ -91,7 +91,7 @@ class Parts(TraversalCallback):
         self,
         name: str,
         value: Any,
-        flags: ParamFlags = ParamFlags.NonDifferentiable,
+        flags: ParamFlags | None = None,
         attribute: str | None = None,
     ) -> None:
         """Record a parameter or a plugin."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from functools import cached_property
 from typing import IO, TYPE_CHECKING, Any
 
@@ -128,7 +129,7 @@ class MeshQueries:
     Lookups take numbers of vertices or triangles, one per lane; inactive lanes get zeros.
     """
 
-    attributes: dict[str, Any]
+    attributes: Mapping[str, Any]
 
     if TYPE_CHECKING:
         # What the mesh computes when it is asked for.
