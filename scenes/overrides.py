@@ -17,7 +17,17 @@ from djpt.errors import FileError, SceneError, near_miss, nearest
 __all__ = ["described", "integrator_name", "override", "reduced", "rfilter_name"]
 
 SENSORS = frozenset(
-    {"perspective", "thinlens", "orthographic", "radiancemeter", "irradiancemeter", "distant", "batch"},
+    [
+        "perspective",
+        "thinlens",
+        "orthographic",
+        "fisheye",
+        "panorama",
+        "radiancemeter",
+        "irradiancemeter",
+        "distant",
+        "batch",
+    ]
 )
 """The types of nodes that hold a film."""
 

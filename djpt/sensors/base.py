@@ -44,6 +44,8 @@ class Sensor(SampledRays, Endpoint):
     """Whether it must be nested in a shape; the scene then sets `shape`."""
     can_be_reached: ClassVar[bool] = False
     """Whether light can be traced towards it: `sample_wi` and `pdf_ray` exist."""
+    is_central: ClassVar[bool] = False
+    """Whether its rays, those through a point of its lens, meet in one point, its `origin`."""
     uses_aperture = False
     """Whether rays depend on more than the film position: on two more numbers, drawn after those of the film."""
     weight = 1.0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
 import numpy as np
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 __all__ = ["Perspective"]
 
 OFFSETS = ("principal_point_offset_x", "principal_point_offset_y")
+REAL_LENS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2", "fx", "fy", "cx", "cy")
+"""Entries of cameras whose lens distorts, or whose focal length is given in pixels."""
 
 
 class Perspective(Central):
@@ -31,7 +33,8 @@ class Perspective(Central):
     else `focal_length` (a string such as ``'50mm'``, the default, for 35 mm film); `fov_axis` (`x`,
     the default, `y`, `diagonal`, `smaller` or `larger` of the film's sides); `near_clip` (0.01) and
     `far_clip` (10000), measured along the optical axis; `principal_point_offset_x`, `_y` (0: shift
-    of the image centre, in image widths and heights). `focus_distance` is accepted, without effect.
+    of the image centre, in image widths and heights). `focus_distance` is accepted, without effect. With any of the
+    entries of `djpt.sensors.distorted.DistortedPerspective`, numbers of a real lens, it is one of those.
 
     The field of view refers to the whole film, also if only a crop of it is rendered. A ray starts
     on the near plane and ends on the far plane.
@@ -39,13 +42,26 @@ class Perspective(Central):
 
     in_any_frame = True
     is_pinhole = True
-    motions = ("attached_matrix", "x_fov", *OFFSETS)
+    motions: ClassVar[tuple[str, ...]] = ("attached_matrix", "x_fov", *OFFSETS)
+
+    def __new__(cls, props: Properties | None = None) -> Perspective:
+        """The class itself, or the one with a real lens if `props` has numbers of such; copies have no `props`."""
+        if cls is Perspective and props is not None and any(name in props for name in REAL_LENS):
+            from djpt.sensors.distorted import DistortedPerspective  # most cameras need none of it
+
+            return super().__new__(DistortedPerspective)
+        return super().__new__(cls)
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         self._focus_distance = props.float("focus_distance", self._far_clip)
-        self.principal_point_offset_x, self.principal_point_offset_y = (Float(props.float(n, 0.0)) for n in OFFSETS)
+        self.principal_point_offset_x, self.principal_point_offset_y = map(Float, self.image_centre(props))
         self.place()
+
+    def image_centre(self, props: Properties) -> tuple[float, float]:
+        """The principal point's offsets, by the entries."""
+        x, y = (props.float(name, 0.0) for name in OFFSETS)
+        return x, y
 
     def traverse_lens(self, callback: TraversalCallback) -> None:
         for name in ("x_fov", *OFFSETS):

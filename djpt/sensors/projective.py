@@ -153,11 +153,16 @@ class Central(ProjectiveCamera):
         ParamFlags.NonDifferentiable,
     )
     can_be_reached = True
+    is_central = True
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
+        self.x_fov = Float(self.field_of_view(props))
+
+    def field_of_view(self, props: Properties) -> float:
+        """The field of view along x in degrees, by the entries."""
         width, height = self.film().size()
-        self.x_fov = Float(horizontal_fov(props, width / height))
+        return horizontal_fov(props, width / height)
 
     def check_parameter(self, name: str, value: Any) -> Any:
         if name == "x_fov":

@@ -10,7 +10,7 @@ import djpt
 from djpt import ScalarTransform4f as T
 from places import IMAGES
 
-__all__ = ["cameras", "samplers", "tonemapping"]
+__all__ = ["cameras", "samplers", "tonemapping", "wide"]
 
 
 def cameras() -> None:
@@ -31,6 +31,30 @@ def cameras() -> None:
         lamp = {"type": "sphere", "center": [float(x), 1.2, 2.0], "radius": 0.02}
         scene[f"lamp{i}"] = {**lamp, "emitter": {"type": "area", "radiance": color}}
     djpt.write(IMAGES / "cameras.png", djpt.render(djpt.load_dict(scene), spp=2048))
+
+
+def wide() -> None:
+    """The Cornell box from its middle: four fisheyes; below, a panorama and two lenses that distort."""
+    room = djpt.load_dict(djpt.cornell_box())
+    place = T().look_at(origin=[0, -0.2, 0.75], target=[0, -0.2, -1], up=[0, 1, 0])
+    outside = T().look_at(origin=[0, 0, 3.9], target=[0, 0, 0], up=[0, 1, 0])
+
+    def picture(camera: dict[str, Any], width: int = 240) -> np.ndarray:
+        film = {"type": "hdrfilm", "width": width, "height": 240, "rfilter": {"type": "box"}}
+        sensor = djpt.load_dict({"to_world": place, **camera, "film": film})
+        return np.array(djpt.render(room, sensor=sensor, spp=1024))
+
+    fisheye = {"type": "fisheye", "fov_axis": "diagonal", "fov": 180}
+    projections = ("equidistant", "equisolid", "stereographic")
+    above = [picture({**fisheye, "projection": projection}) for projection in projections]
+    above.append(picture({**fisheye, "projection": "orthographic", "fov": 170}))
+    lens = {"type": "perspective", "fov": 42, "to_world": outside}
+    below = [
+        picture({"type": "panorama"}, 480),
+        picture({**lens, "k1": -0.45, "k2": 0.2}),
+        picture({**lens, "k1": 0.6}),
+    ]
+    djpt.write(IMAGES / "wide-angles.png", np.vstack([np.hstack(above), np.hstack(below)]))
 
 
 def samplers() -> None:

@@ -28,7 +28,6 @@ from djpt.integrators.projective.receivers import Receiver
 from djpt.integrators.projective.splat import keep
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f
 from djpt.sensors.orthographic import Orthographic
-from djpt.sensors.projective import Central
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
 __all__ = ["ProjectiveDetail"]
@@ -283,11 +282,11 @@ def viewpoint_of(scene: Any, sensor: Any) -> Point3f:
     Raises:
         RenderError: the sensor is no camera with a place, nor one with parallel rays.
     """
-    if isinstance(sensor, Central):
+    if sensor.is_central:
         return Point3f(dr.detach(sensor.origin))
     if not isinstance(sensor, Orthographic):
         raise RenderError(
-            "silhouettes are supported for perspective, thinlens and orthographic cameras only, found "
+            "silhouettes are supported for cameras whose rays meet in one point or are parallel only, found "
             f"'{sensor.id()}' ({name_of(type(sensor))})"
         )
     center, radius = scene.bounding_sphere()

@@ -14,16 +14,18 @@ from djpt.description import registry
 from djpt.errors import RenderError
 from djpt.jit.types import Float, Point2f, Point3f
 from tests.cameras.test_sensors import CAMERAS, FILMS, LOOK, METER, METERS, MIXED, batch
+from tests.cameras.wide_cameras import WIDE
 from tests.kit.chi_squared import PLANE, SIGNIFICANCE, SPHERE, p_value, uniform
 
 pytestmark = pytest.mark.cuda
 
 COUNT = 2**18
-WIDE = {"type": "perspective", "fov": 100, "to_world": LOOK}
+BROAD = {"type": "perspective", "fov": 100, "to_world": LOOK}
 REACHABLE: dict[str, dict[str, Any]] = {
-    "perspective": WIDE,
-    "perspective off the axis": {**WIDE, "fov": 40, "principal_point_offset_x": 0.6, "near_clip": 1.5},
+    "perspective": BROAD,
+    "perspective off the axis": {**BROAD, "fov": 40, "principal_point_offset_x": 0.6, "near_clip": 1.5},
     **CAMERAS,
+    **{name: WIDE[name] for name in ("equidistant", "stereographic", "panorama behind", "distorted in pixels")},
 }
 LENSES = [(0.5, 0.5), (0.1, 0.8)]
 """Samples of the aperture: its centre, and a point near its edge."""

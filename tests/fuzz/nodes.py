@@ -85,7 +85,7 @@ LIGHTS = (
     {"type": "spot", "to_world": Code("T().look_at(origin=[0, 0, -4], target=[0, 0, 0], up=[0, 1, 0])")},
     {"type": "envmap", "filename": "a.exr"},
 )
-CAMERAS = ("perspective", "orthographic", "thinlens")
+CAMERAS = ("perspective", "orthographic", "thinlens", "fisheye", "panorama")
 LOOK = Code("T().look_at(origin=[0, 0, -4], target=[0, 0, 0], up=[0, 1, 0])")
 
 

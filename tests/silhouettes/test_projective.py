@@ -223,7 +223,7 @@ def test_errors() -> None:
         }
     )
     with pytest.raises(
-        RenderError, match="silhouettes are supported for perspective, thinlens and orthographic cameras only, found"
+        RenderError, match="silhouettes are supported for cameras whose rays meet in one point or are parallel only"
     ):
         integrator("direct_projective").render_backward(
             room, None, TensorXf(np.ones((1, 1, 3), np.float32)), sensor, spp=1

@@ -1,0 +1,239 @@
+"""The pinhole camera with the distortion of a real lens."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from djpt.core.numeric import as_number
+from djpt.core.records import DirectionSample3f
+from djpt.description.plugin import ParamFlags, TraversalCallback
+from djpt.description.properties import Properties
+from djpt.errors import ParameterError, SceneError
+from djpt.jit.kernels import as_float
+from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.sensors.perspective import OFFSETS, Perspective
+
+__all__ = ["COEFFICIENTS", "PIXELS", "DistortedPerspective"]
+
+COEFFICIENTS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
+PIXELS = ("fx", "fy", "cx", "cy")
+STEPS = 7
+"""Steps of Newton's method from a place on the film to a direction."""
+RESIDUE = 2e-6
+"""The largest error, in focal lengths, that they may leave."""
+
+
+class DistortedPerspective(Perspective):
+    """A `perspective` camera with the distortion of a real lens (Brown and Conrady), in OpenCV's form.
+
+    A direction with the ideal image (x, y), in focal lengths, x to the right and y down, is shown at
+
+        (x, y) (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6)
+            + (2 p1 x y + p2 (r^2 + 2 x^2), p1 (r^2 + 2 y^2) + 2 p2 x y),    r^2 = x^2 + y^2
+
+    Parameters, besides those of `perspective`: `k1` .. `k6`, `p1`, `p2` (default 0); `fx`, `fy` (default `fx`), `cx`
+    and `cy` (default: the middle), in pixels of the whole film, from its upper left corner (pixel centres lie at
+    halves), in place of `fov` and the principal point. `fov` is that of the ideal image.
+
+    Source: D. C. Brown, "Decentering Distortion of Lenses", Photogrammetric Engineering 32 (1966).
+    """
+
+    in_any_frame = True
+    values: ClassVar[Mapping[str, ParamFlags]] = {
+        **Perspective.values,
+        **dict.fromkeys((*COEFFICIENTS, "axis_x", "axis_y", "axis_z", "start", "step"), ParamFlags.NonDifferentiable),
+    }
+    lens = ("pixel_aspect", *COEFFICIENTS)
+    motions = (*Perspective.motions, *lens)
+
+    k1: Float
+    k2: Float
+    k3: Float
+    k4: Float
+    k5: Float
+    k6: Float
+    p1: Float
+    p2: Float
+    pixel_aspect: Float
+    """The height of a pixel, in widths."""
+    start: Point2f
+    """The point of the image plane that film position (0, 0) shows, in camera space."""
+    step: Point2f
+    axis_x: Vector3f
+    axis_y: Vector3f
+    axis_z: Vector3f
+
+    def __init__(self, props: Properties) -> None:
+        for name in COEFFICIENTS:
+            setattr(self, name, as_float(props.float(name, 0.0)))
+        self.pixel_aspect = Float(1)
+        super().__init__(props)
+
+    def field_of_view(self, props: Properties) -> float:
+        if not any(name in props for name in PIXELS):
+            return super().field_of_view(props)
+        if "fov" in props or "focal_length" in props:
+            raise props.error("fx", "can't be given together with 'fov' or 'focal_length'")
+        fx = props.float("fx", low=0.0, low_open=True)
+        fy = props.float("fy", fx, low=0.0, low_open=True)
+        self.pixel_aspect = Float(fx / fy)
+        return math.degrees(2 * math.atan(self.film().size()[0] / (2 * fx)))
+
+    def image_centre(self, props: Properties) -> tuple[float, float]:
+        width, height = self.film().size()
+        x, y = super().image_centre(props)
+        return x + 0.5 - props.float("cx", width / 2) / width, y + 0.5 - props.float("cy", height / 2) / height
+
+    def place(self) -> None:
+        super().place()
+        linear = self.to_world.matrix[:3, :3]
+        self.axis_x, self.axis_y, self.axis_z = (Vector3f(*map(as_float, linear[:, k])) for k in range(3))
+        values = {name: float(dr.detach(getattr(self, name))[0]) for name in ("x_fov", *OFFSETS, "pixel_aspect")}
+        start, step = self.plane_window(values)
+        self.start, self.step = Point2f(*map(as_float, start)), Point2f(*map(as_float, step))
+        self.inv_area = as_float(1 / abs(step[0] * step[1]))
+        self.require_inverse(np.array(start), np.array(step))
+
+    def plane_window(self, values: Mapping[str, Any]) -> tuple[Any, Any]:
+        """The film's corner and sides on the plane at distance 1: pairs of numbers, or of `Float`."""
+        film = self.film()
+        size, crop, offset = film.size(), film.crop_size(), film.crop_offset()
+        half = dr.tan(values["x_fov"] * (math.pi / 360))
+        reach = (half, half * values["pixel_aspect"] * (int(size[1]) / int(size[0])))
+        shift = tuple(values[name] for name in OFFSETS)
+        start = [(1 - 2 * (shift[k] + int(offset[k]) / int(size[k]))) * reach[k] for k in range(2)]
+        return start, [-2 * reach[k] * (int(crop[k]) / int(size[k])) for k in range(2)]
+
+    def require_inverse(self, start: NDArray[np.float64], step: NDArray[np.float64]) -> None:
+        """Raise `SceneError` if places on the film show no direction, or several."""
+        u = np.linspace(0, 1, 33)
+        places = start[:, None] + step[:, None] * np.stack(np.meshgrid(u, u)).reshape(2, -1)
+        shown = Point2f(places.astype(np.float32))
+        ideal = self.ideal(shown)
+        again, slopes = self.distorted(ideal)
+        determinant = slopes[0] * slopes[2] - dr.square(slopes[1])
+        error = float(np.abs(np.array(again) - np.array(shown)).max())
+        if not (error <= RESIDUE * max(1.0, float(np.abs(places).max())) and float(np.array(determinant).min()) > 0):
+            raise SceneError(
+                f"{self.id()}: the distortion folds the picture: near its edge no direction is shown, or several; "
+                "choose smaller coefficients, a smaller 'fov' or a crop"
+            )
+
+    # ---- parameters --------------------------------------------------------------------
+
+    def traverse_lens(self, callback: TraversalCallback) -> None:
+        super().traverse_lens(callback)
+        for name in self.lens:
+            callback.put(name, getattr(self, name), self.motion_flags(name))
+
+    def check_parameter(self, name: str, value: Any) -> Any:
+        if name not in self.lens:
+            return super().check_parameter(name, value)
+        number = as_number(dr.detach(value))
+        if name == "pixel_aspect" and number <= 0:
+            raise ParameterError(f"must be greater than 0, found {number:g}")
+        return Float(value) if dr.grad_enabled(value) else dr.opaque(Float, number)
+
+    def moved_rays(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        from djpt.sensors.moving import columns  # images of still cameras need none of it
+
+        x, y, z, origin = columns(self, values)
+        known = {name: dr.detach(getattr(self, name)) for name in ("x_fov", *OFFSETS, "pixel_aspect")}
+        start, step = self.plane_window({**known, **{k: v for k, v in values.items() if k in known}})
+        placed = {"origin": origin, "axis_x": x, "axis_y": y, "axis_z": z, "axis": z}
+        coefficients = {name: value for name, value in values.items() if name in COEFFICIENTS}
+        return {**placed, "start": Point2f(*start), "step": Point2f(*step), **coefficients}
+
+    # ---- the lens ------------------------------------------------------------------------
+
+    def distorted(self, q: Point2f) -> tuple[Point2f, tuple[Float, Float, Float]]:
+        """The place on the image plane of an ideal image, in camera space, and the derivatives xx, xy and yy.
+
+        Camera space has x to the left and y up: `p1` and `p2` change their signs.
+        """
+        x, y, r2 = q.x, q.y, dr.squared_norm(q)
+        over = dr.fma(r2, dr.fma(r2, dr.fma(r2, self.k3, self.k2), self.k1), 1)
+        under = dr.rcp(dr.fma(r2, dr.fma(r2, dr.fma(r2, self.k6, self.k5), self.k4), 1))
+        radial = over * under
+        # The derivative by r^2.
+        growth = dr.fma(r2, dr.fma(r2, 3 * self.k3, 2 * self.k2), self.k1)
+        slope = (growth - radial * dr.fma(r2, dr.fma(r2, 3 * self.k6, 2 * self.k5), self.k4)) * under
+        p1, p2 = -self.p1, -self.p2
+        place = Point2f(
+            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x), y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+        )
+        xx = radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x
+        xy = 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y
+        yy = radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x
+        return place, (xx, xy, yy)
+
+    def ideal(self, place: Point2f) -> Point2f:
+        """The ideal image of what a place on the image plane shows: the inverse of `distorted`.
+
+        Its derivatives, also by the coefficients, are those of one step of Newton's method from the solution.
+        """
+        with dr.suspend_grad():
+            fixed = dr.detach(place)
+            q = fixed
+            for _ in range(STEPS):
+                q = self.nearer(q, fixed)
+        return self.nearer(dr.detach(q), place)
+
+    def nearer(self, q: Point2f, place: Point2f) -> Point2f:
+        """A step of Newton's method towards the ideal image of a place."""
+        found, slopes = self.distorted(q)
+        xx, xy, yy = (dr.detach(slope) for slope in slopes)
+        determinant = xx * yy - dr.square(xy)
+        inverse = dr.rcp(dr.select(dr.abs(determinant) > 1e-4, determinant, 1e-4))
+        dx, dy = found.x - place.x, found.y - place.y
+        return Point2f(q.x - (yy * dx - xy * dy) * inverse, q.y - (xx * dy - xy * dx) * inverse)
+
+    # ---- in kernels --------------------------------------------------------------------
+
+    def through_centre(self, film_position: Point2f) -> Vector3f:
+        q = self.ideal(dr.fma(self.step, film_position, self.start))
+        return dr.fma(self.axis_x, q.x, dr.fma(self.axis_y, q.y, self.axis_z))
+
+    def sample_wi(
+        self, ref: Point3f, aperture_sample: Point2f, active: Bool | bool = True
+    ) -> tuple[DirectionSample3f, Float]:
+        to_ref = ref - self.origin
+        z = dr.dot(to_ref, self.axis_z)
+        in_range = (z > self.near) & (z < self.near + self.depth)
+        inv_z = dr.rcp(dr.select(in_range, z, 1))
+        m = to_ref * inv_z
+        q = Point2f(dr.dot(m, self.axis_x), dr.dot(m, self.axis_y))
+        place, slopes = self.distorted(q)
+        determinant = slopes[0] * slopes[2] - dr.square(slopes[1])
+        uv = Point2f((place.x - self.start.x) / self.step.x, (place.y - self.start.y) / self.step.y)
+        seen = in_range & (determinant > 0) & (uv.x >= 0) & (uv.x < 1) & (uv.y >= 0) & (uv.y < 1)
+        # Far outside, the polynomials may lead back into the picture.
+        back = self.ideal(place)
+        seen &= dr.squared_norm(back - q) < 1e-4 * (1 + dr.squared_norm(q))
+        length = dr.norm(m)
+        ds = DirectionSample3f.of(
+            p=dr.fma(m, self.near, self.origin),
+            n=self.axis,
+            uv=uv,
+            d=m * -dr.rcp(length),
+            dist=(z - self.near) * length,
+            pdf=Float(1),
+            weight=Float(1),
+            delta=Bool(True),
+            emitter_index=UInt32(0),
+        )
+        return ds, dr.select(seen, length * dr.square(inv_z) * self.inv_area * determinant, 0)
+
+    def pdf_ray(self, d: Vector3f) -> tuple[Float, Float]:
+        """See `Central`; the density on the ideal image times how much larger the shown one is there."""
+        pdf, distance = super().pdf_ray(d)
+        inverse = dr.rcp(dr.dot(d, self.axis_z))
+        q = Point2f(dr.dot(d, self.axis_x) * inverse, dr.dot(d, self.axis_y) * inverse)
+        _, (xx, xy, yy) = self.distorted(q)
+        return pdf * (xx * yy - dr.square(xy)), distance

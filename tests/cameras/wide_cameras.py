@@ -1,0 +1,31 @@
+"""Cameras with lenses that aren't ideal, by name."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from tests.cameras.test_sensors import LOOK
+
+__all__ = ["WIDE"]
+
+WIDE: dict[str, dict[str, Any]] = {
+    "equidistant": {"type": "fisheye", "to_world": LOOK, "fov": 170},
+    "equisolid": {"type": "fisheye", "projection": "equisolid", "fov": 200, "fov_axis": "diagonal", "to_world": LOOK},
+    "stereographic": {"type": "fisheye", "projection": "stereographic", "fov": 160, "to_world": LOOK},
+    "orthographic fisheye": {
+        "type": "fisheye", "projection": "orthographic", "fov": 140, "fov_axis": "diagonal", "to_world": LOOK,
+        "principal_point_offset_x": 0.02,
+    },
+    "fisheye in pixels": {
+        "type": "fisheye", "fx": 18, "fy": 17.5, "cx": 19, "cy": 15.5, "k1": 0.03, "k2": -0.008, "k3": 0.001,
+        "to_world": LOOK,
+    },
+    "panorama": {"type": "panorama", "to_world": LOOK, "elevation_from": -70, "elevation_to": 80, "azimuth_to": 120},
+    "panorama behind": {"type": "panorama", "azimuth_from": 90, "azimuth_to": 300, "near_clip": 0.3},
+    "distorted": {"type": "perspective", "fov": 60, "k1": -0.2, "k2": 0.05, "to_world": LOOK},
+    "distorted in pixels": {
+        "type": "perspective", "fx": 30, "fy": 28, "cx": 18.7, "cy": 16.1, "k1": 0.1, "k2": -0.05, "k3": 0.01,
+        "p1": 0.01, "p2": -0.02, "to_world": LOOK, "near_clip": 0.4,
+    },
+    "rational": {"type": "perspective", "fov": 60, "k1": 0.3, "k4": 0.2, "k5": 0.05, "k6": 0.01},
+}  # fmt: skip
