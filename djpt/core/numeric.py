@@ -109,6 +109,18 @@ def from_device(value: Any) -> NDArray[Any]:
     return np.array(read(value))
 
 
+class AttachedNumber(float):
+    """A number on the host that knows the Dr.Jit number, attached to gradients, that it was made from."""
+
+    lanes: Any
+
+    def __new__(cls, lanes: Any) -> AttachedNumber:
+        """Read a `Float` of width 1."""
+        number = super().__new__(cls, as_number(dr.detach(lanes)))
+        number.lanes = lanes
+        return number
+
+
 def as_number(value: Any) -> float:
     """Convert to a finite float; raise `SceneError` for anything else."""
     if isinstance(value, (int, float)) and not isinstance(value, bool):

@@ -123,16 +123,15 @@ class AnimatedTransform4f(Plugin):
         """The map from the own space of what moves to the world at a time, per lane; without gradients."""
         return self._table.at(time)
 
-    def attached_matrix_at(self, time: float) -> Any:
-        """The matrix at one moment, a `Matrix4f` attached to the keyframes."""
+    def attached_matrix_at(self, time: float, moment: Float | None = None) -> Any:
+        """The matrix at one moment, a `Matrix4f` attached to the keyframes, and to the time if `moment` gives it."""
         order = np.argsort(as_array(dr.detach(self.times)).ravel(), kind="stable")
 
         def part(name: str, k: int) -> list[Float]:
             tensor, width, row = getattr(self, name), PARTS[name], int(order[k])
             return [dr.gather(Float, tensor.array, row * width + i) for i in range(width)]
 
-        placement, _ = attached_placement(time, self.keyframes.times.tolist(), part)
-        return placement.matrix()
+        return attached_placement(time, self.keyframes.times.tolist(), part, moment).matrix()
 
     def eval(self, time: Any) -> Any:
         """The transform at a time, an `AffineTransform4f` per lane."""

@@ -10,7 +10,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from djpt.core.numeric import as_array, as_integer, as_number, describe
+from djpt.core.numeric import AttachedNumber, as_array, as_integer, as_number, describe
 from djpt.core.transforms import ScalarTransform4f
 from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
 from djpt.errors import DjptError, ParameterError, SceneError, near_miss
@@ -366,6 +366,8 @@ def convert(value: Any, current: Any) -> Any:
     """Convert `value` to the type of `current`, copied if it is an array; raise `SceneError` if it can't be."""
     if dr.is_array_v(current):
         return convert_array(value, current)
+    if isinstance(value, AttachedNumber):
+        return value
     if isinstance(current, (bool, int, float, str)) and type(value) is not type(current):
         if isinstance(current, float):
             return as_number(value)

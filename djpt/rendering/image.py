@@ -182,6 +182,11 @@ def require_still(scene: Scene, sensor: Any = 0) -> None:
     """Raise `RenderError` if what places a shape or the sensor has gradients, which few integrators can follow."""
     require_scene(scene)
     camera = find_sensor(scene, sensor) if scene.sensors() or sensor != 0 else None
+    if camera is not None and scene.in_time and not scene.moves and camera.attached_shutter():
+        raise RenderError(
+            f"'{camera.id()}' has a shutter whose times have gradients: light that changes in time has no derivatives "
+            "by it, only what moves has"
+        )
     if camera is not None and (names := camera.attached_names()):
         name = names[0].replace("attached_matrix", "to_world").lstrip("_")
         raise RenderError(

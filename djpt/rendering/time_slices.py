@@ -14,11 +14,12 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
+from djpt.core.numeric import AttachedNumber
 from djpt.core.transforms.lanes import Transform4f
 from djpt.description.animation import PARTS, AnimatedTransform4f
 from djpt.errors import RenderError
 from djpt.jit.frozen import recording
-from djpt.jit.types import TensorXf
+from djpt.jit.types import Float, TensorXf
 from djpt.rendering.gradients.derivatives import attached_image
 from djpt.rendering.gradients.leaves import Parameter, attached_parameters, motion_parameters
 from djpt.rendering.image import film_image, image_derivative, require_still
@@ -55,12 +56,28 @@ def every_parameter(scene: Scene, settings: RenderSettings) -> list[Parameter]:
         for name in PARTS
         if dr.grad_enabled(getattr(motion, name))
     ]
-    return [*attached_parameters(scene), *motion_parameters(scene, settings.sensor), *keyframes]
+    placed = motion_parameters(scene, settings.sensor)
+    return [*attached_parameters(scene), *placed, *keyframes, *shutter_parameters(settings.sensor)]
+
+
+class ShutterParameter(Parameter):
+    """A time of a sensor that has gradients."""
+
+    @property
+    def value(self) -> Any:
+        return super().value.lanes
+
+
+def shutter_parameters(sensor: Any) -> list[Parameter]:
+    """The times of a sensor's shutter that have gradients."""
+    return [ShutterParameter(sensor, name) for name in sensor.attached_shutter()]
 
 
 def put(parameter: Parameter, value: Any) -> None:
     """Give a parameter another value, which may have gradients."""
-    if parameter.attribute == "attached_matrix":
+    if isinstance(parameter, ShutterParameter):
+        setattr(parameter.owner, parameter.attribute, AttachedNumber(value))
+    elif parameter.attribute == "attached_matrix":
         parameter.owner.to_world = AttachedTransform(Transform4f(value))  # type: ignore[attr-defined]
     else:
         setattr(parameter.owner, parameter.attribute, value)
@@ -80,6 +97,11 @@ def sliced_image(scene: Scene, params: Any, settings: RenderSettings) -> TensorX
         raise RenderError(
             f"'{settings.sensor.id()}' has a rolling shutter, whose rows see different times: there are no "
             f"{lacks}; possible: images by integrators that start at the camera, such as 'path'"
+        )
+    if settings.sensor.attached_shutter() and any(emitter.in_time for emitter in scene.emitters()):
+        raise RenderError(
+            f"'{settings.sensor.id()}' has a shutter whose times have gradients: light that changes in time has no "
+            "derivatives by it, only what moves has"
         )
     if parameters:
         first = slices_of(settings, settings.sample_count)[0]
@@ -105,12 +127,18 @@ class Slice:
     """A share of the time and of the samples."""
 
     time: float
+    share: float
+    """The share of the exposure that has passed."""
     weight: float
     settings: RenderSettings
 
     def still(self, scene: Scene, attached: bool = False) -> StillScene:
         """The scene at the slice's moment."""
-        return StillScene(scene, self.time, attached)
+        sensor, moment = self.settings.sensor, None
+        if attached and (times := sensor.attached_shutter()):
+            opens = times.get("_shutter_open", sensor.shutter_open())
+            moment = Float(opens + times.get("_shutter_open_time", sensor.shutter_open_time()) * self.share)
+        return StillScene(scene, self.time, attached, moment)
 
     def settings_of(self, still: StillScene, original: Any) -> RenderSettings:
         """The settings for a still scene."""
@@ -129,7 +157,8 @@ def slices_of(settings: RenderSettings, spp: int, most: int = MOST_SLICES) -> li
         own = replace(
             settings, seed=(seed + 0x9E3779B1 * k) & 0xFFFFFFFF, spp=share, seed_grad=None, spp_grad=0, progress=None
         )
-        result.append(Slice(opens + duration * (k + float(random[k])) / count, share / spp, own))
+        passed = (k + float(random[k])) / count
+        result.append(Slice(float(opens + duration * passed), passed, share / spp, own))
     return result
 
 

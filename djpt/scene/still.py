@@ -27,9 +27,9 @@ class StillScene:
     are the gradients of materials.
     """
 
-    def __init__(self, scene: Scene, time: float, attached: bool) -> None:
-        """With `attached`, what moves is attached to the keyframes that have gradients."""
-        self._time, self._attached = time, attached
+    def __init__(self, scene: Scene, time: float, attached: bool, moment: Float | None = None) -> None:
+        """With `attached`, what moves is attached to keyframes with gradients, and to the time if `moment` gives it."""
+        self._time, self._attached, self._moment = time, attached, moment
         self._copies: dict[int, tuple[Any, Any]] = {}
         view = copy.copy(scene)
         view._shapes = [self.copy_of(shape) for shape in scene._shapes]
@@ -57,10 +57,10 @@ class StillScene:
 
     def _transform(self, motion: AnimatedTransform4f) -> Any:
         """The transform of what moves: attached to keyframes with gradients, else on the host."""
-        if self._attached and motion.is_attached():
+        if self._attached and (self._moment is not None or motion.is_attached()):
             from djpt.core.transforms.lanes import Transform4f
 
-            return Transform4f(motion.attached_matrix_at(self._time))
+            return Transform4f(motion.attached_matrix_at(self._time, self._moment))
         return motion.eval_scalar(self._time)
 
     def _shape(self, shape: Any) -> None:

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.core.bounding_box import ScalarBoundingBox3f
-from djpt.core.numeric import as_number
+from djpt.core.numeric import AttachedNumber, as_number
 from djpt.core.records import DirectionSample3f, Ray3f
 from djpt.core.transforms import ScalarTransform4f, as_transform
-from djpt.description.plugin import Endpoint, NotMovable, TraversalCallback
+from djpt.description.plugin import Endpoint, NotMovable, ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import lookup, registered
 from djpt.errors import ParameterError, RenderError, SceneError, near_miss
@@ -112,8 +112,11 @@ class Sensor(SampledRays, Endpoint):
     # ---- parameters --------------------------------------------------------------------
 
     def traverse(self, callback: TraversalCallback) -> None:
+        # A shutter that opens for a while has derivatives: by what moves.
+        open_for_a_while = self._shutter_open_time > 0
+        flags = ParamFlags.Differentiable if open_for_a_while else ParamFlags.NonDifferentiable
         for name in ("shutter_open", "shutter_open_time"):
-            callback.put(name, getattr(self, f"_{name}"), attribute=f"_{name}")
+            callback.put(name, getattr(self, f"_{name}"), flags, attribute=f"_{name}")
         if self.rolls:
             callback.put("rolling_shutter", self._rolling_shutter, attribute="_rolling_shutter")
         callback.put("film", self._film)
@@ -125,7 +128,7 @@ class Sensor(SampledRays, Endpoint):
             transform = self._attached(value) if dr.grad_enabled(value) else as_transform(value)
             self.check_placement(transform)
             return transform
-        number = as_number(value)
+        number = AttachedNumber(value) if dr.grad_enabled(value) else as_number(value)
         if name == "shutter_open_time" and number < 0:
             raise ParameterError(f"must be at least 0, found {number:g}")
         return number
@@ -205,11 +208,17 @@ class Sensor(SampledRays, Endpoint):
 
     def shutter_open(self) -> float:
         """The time at which the shutter opens."""
-        return self._shutter_open
+        return float(self._shutter_open)
 
     def shutter_open_time(self) -> float:
         """The time for which the shutter stays open, of each row of the film."""
-        return self._shutter_open_time
+        return float(self._shutter_open_time)
+
+    def attached_shutter(self) -> dict[str, Any]:
+        """The times of the shutter that have gradients, by attribute."""
+        times = {name: getattr(self, name) for name in ("_shutter_open", "_shutter_open_time")}
+        attached = {name: time.lanes for name, time in times.items() if isinstance(time, AttachedNumber)}
+        return {name: lanes for name, lanes in attached.items() if dr.grad_enabled(lanes)}
 
     def rolling_shutter(self) -> float:
         """The time by which the shutter opens later at the bottom of the film than at the top."""

@@ -209,3 +209,22 @@ def test_a_speed_of_rotation_is_found_from_one_blurred_picture() -> None:
         change = np.array(dr.forward_to(image)).ravel()
         angle += float(change @ (target.ravel() - np.array(dr.detach(image)).ravel()) / (change @ change))
     assert angle == pytest.approx(wanted, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("name", "weight"), [("shutter_open", lambda t: 1.0 + 0 * t), ("shutter_open_time", lambda t: t)]
+)
+def test_times_of_the_shutter(name: str, weight: Any) -> None:
+    """A square goes on by its speed times the change of the moment; the shutter covers the middle of its way."""
+    scene = bright(passing(), sensor={**SENSOR, "shutter_open": 0.2, "shutter_close": 0.8})
+    params = djpt.traverse(scene)
+    weights = djpt.TensorXf(np.repeat(WEIGHTS[..., None], 3, 2).astype(np.float32) * (4 / N**2 / 3))
+    leaf = djpt.Float(0.2 if name == "shutter_open" else 0.6)
+    dr.enable_grad(leaf)
+    params[f"sensor.{name}"] = leaf
+    params.update()
+    dr.backward(dr.sum(djpt.render(scene, params, spp=256) * weights, axis=None))
+    share = (np.arange(4096) + 0.5) / 4096
+    place = START + WAY * (0.2 + 0.6 * share)
+    expected = float(4 * A0**2 * np.mean(weight(share) * WAY * (2 * place + 0.5)))
+    assert float(dr.grad(leaf)[0]) == pytest.approx(expected, rel=0.03, abs=0.003)

@@ -285,15 +285,15 @@ class MotionTable:
 
 
 def attached_placement(
-    time: float, times: Sequence[float], part: Callable[[str, int], list[Float]]
-) -> tuple[Placement, Float]:
-    """The placement at one moment, attached to the keyframes around it, and the share of the way between them.
+    time: float, times: Sequence[float], part: Callable[[str, int], list[Float]], moment: Float | None = None
+) -> Placement:
+    """The placement at one moment, attached to the keyframes around it, and to the time if `moment` gives it.
 
     `part(name, k)` are the numbers of a part (`times`, `scale`, `rotation`, `translation`) at keyframe k.
     """
     k = int(np.clip(np.searchsorted(times, time, side="right") - 1, 0, len(times) - 2))
     (start,), (end,) = part("times", k), part("times", k + 1)
-    u = dr.clip((time - start) / (end - start), 0, 1)
+    u = dr.clip(((Float(time) if moment is None else moment) - start) / (end - start), 0, 1)
     q, r = part("rotation", k), part("rotation", k + 1)
     q, r = ([x * dr.rsqrt(sum(y * y for y in p)) for x in p] for p in (q, r))
     cosine = sum(a * b for a, b in zip(q, r, strict=True))
@@ -316,7 +316,7 @@ def attached_placement(
         a, b = (Vector3f(*part(name, i)) for i in (k, k + 1))
         return a + (b - a) * u
 
-    return placement_of([x * length for x in mixed], between("scale"), Point3f(between("translation"))), u
+    return placement_of([x * length for x in mixed], between("scale"), Point3f(between("translation")))
 
 
 # ---- matrices and their parts --------------------------------------------------------------------------------------
