@@ -49,6 +49,8 @@ LONGEST = 200
 
 def as_path(name: str | os.PathLike[str]) -> Path:
     """The path that `name` stands for; raises `FileError` unless it is a text or a path."""
+    if isinstance(name, Path):
+        return name
     try:
         return Path(name)
     except TypeError:

@@ -7,6 +7,7 @@ name the node: the caller knows it.
 
 from __future__ import annotations
 
+import math
 import operator
 import reprlib
 from typing import Any
@@ -28,6 +29,7 @@ __all__ = [
     "as_vector",
     "cross_product",
     "describe",
+    "is_finite",
     "non_negative",
     "numbers_in",
     "whole",
@@ -59,6 +61,12 @@ def as_array(value: Any) -> NDArray[np.float64]:
     Raises:
         SceneError: not numbers, numbers of unequal length, not finite, or attached to a gradient.
     """
+    if type(value) in (list, tuple) and {*map(type, value)} == {float}:
+        # Most are lists of numbers, and what follows takes five times as long.
+        array = np.array(value)
+        if not is_finite(array):
+            raise SceneError(f"must be finite in single precision, found {describe(value)}")
+        return array
     # NumPy would convert strings and booleans, and the conversion of objects is unpredictable.
     if value is None or isinstance(value, (str, bytes, bool, dict, set, type)):
         raise SceneError(f"must be numbers, found {describe(value)}")
@@ -89,7 +97,9 @@ def as_array(value: Any) -> NDArray[np.float64]:
 def is_finite(array: NDArray[np.float64]) -> bool:
     """True if all numbers are finite in single precision."""
     if array.size <= FEW:
-        return all(-LARGEST <= number <= LARGEST for number in array.ravel().tolist())
+        found = array.ravel().tolist()
+        # NaN makes comparisons false, but not those of `min` and `max` for sure.
+        return all(map(math.isfinite, found)) and (not found or (min(found) >= -LARGEST and max(found) <= LARGEST))
     return bool((np.abs(array) <= LARGEST).all())
 
 

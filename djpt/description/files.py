@@ -62,8 +62,7 @@ class FileResolver:
         Raises:
             FileError: it is in none of the directories.
         """
-        places = [*self.directories, working_directory()]
-        for place in places:
+        for place in self._places():
             # Texts: hundreds of names are looked up, and paths take ten times as long.
             if os.path.exists(candidate := os.path.join(place, name)) and self.allows(candidate):
                 return Path(candidate)
@@ -71,8 +70,13 @@ class FileResolver:
             raise FileError(f"'{shortened(name)}' isn't in '{self.root}', which this scene may not leave")
         if Path(name).is_absolute():
             raise FileError(f"'{shortened(name)}' doesn't exist")
-        searched = ", ".join(dict.fromkeys(str(place) for place in places))
+        searched = ", ".join(dict.fromkeys(str(place) for place in self._places()))
         raise FileError(f"'{shortened(name)}' doesn't exist; searched: {searched}")
+
+    def _places(self) -> Iterator[Path]:
+        """The directories to look in; the working directory is only asked for if it is needed."""
+        yield from self.directories
+        yield working_directory()
 
     def allows(self, path: str) -> bool:
         """True if a file lies within the root."""

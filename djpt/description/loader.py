@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 from djpt.core.garbage import without_garbage
@@ -165,7 +164,7 @@ class Loader:
             self._name_node(identity, path)
         for key, value in node.items():
             below = f"{path}.{key}" if path else key
-            if isinstance(value, Mapping):
+            if is_node(value):
                 self._collect(value, below, (*parents, id(node)))
             elif isinstance(value, Plugin):
                 self.nodes[below] = value
@@ -244,17 +243,16 @@ class Loader:
         for key, value in node.items():
             if key in ("type", "id"):
                 continue
-            if isinstance(value, (Mapping, Plugin)):
+            if (is_description := is_node(value)) or isinstance(value, Plugin):
                 below = f"{path}.{key}" if path else key
-                is_description = isinstance(value, Mapping)
                 value = self._build(below)
                 nested.append(value)
                 # In a scene an explicit `id` is the name; elsewhere the key tells what the node is used for.
                 key = self._own_name(below) if name == "scene" else key
                 parts = value.expand()
-                taken = {*node, *values, *expanded} - {key}
                 named = {key: value}
                 if parts != [value]:
+                    taken = {*node, *values, *expanded} - {key}
                     named = {f"{key}.{i}" if part.id() in taken else part.id(): part for i, part in enumerate(parts)}
                 # Several parts come last, as in Mitsuba.
                 (expanded if len(named) > 1 else values).update(named)
@@ -269,7 +267,7 @@ class Loader:
         def place(key: str) -> str:
             return self.name(path, key) if self.places and key in node else where
 
-        merging = replace(self.merging, keys=described) if self.optimize else None
+        merging = self.merging.of(described) if self.optimize else None
         props = Properties(name, where, values, self._own_name(path) or name, place, merging)
         try:
             plugin: Any = factory(props)
@@ -305,6 +303,11 @@ class Loader:
         return path
 
 
+def is_node(value: Any) -> bool:
+    """True for a description of a plugin. To ask texts and numbers whether they are mappings would be slow."""
+    return isinstance(value, dict) or (not isinstance(value, (str, float, int, list)) and isinstance(value, Mapping))
+
+
 def node_count(node: Mapping[str, Any], known: dict[int, int], depth: int) -> int:
     """The number of nodes of a description, each counted wherever it stands; `known` has those counted before.
 
@@ -313,7 +316,7 @@ def node_count(node: Mapping[str, Any], known: dict[int, int], depth: int) -> in
     if depth > MAX_DEPTH:
         return 1
     if id(node) not in known:
-        nested = (value for value in node.values() if isinstance(value, Mapping))
+        nested = (value for value in node.values() if is_node(value))
         known[id(node)] = 1  # if the node contains itself
         known[id(node)] = 1 + sum(node_count(value, known, depth + 1) for value in nested)
     return known[id(node)]
@@ -354,7 +357,8 @@ def load_file(
     """
     from djpt.description.xml.reading import read_file  # dicts need no parser
 
-    return load_dict(read_file(path, trusted=trusted, root=root, **parameters), parallel, optimize)
+    with without_garbage():
+        return load_dict(read_file(path, trusted=trusted, root=root, **parameters), parallel, optimize)
 
 
 def load_string(
@@ -372,4 +376,5 @@ def load_string(
     """
     from djpt.description.xml.reading import read_string  # dicts need no parser
 
-    return load_dict(read_string(value, trusted=trusted, root=root, **parameters), parallel, optimize)
+    with without_garbage():
+        return load_dict(read_string(value, trusted=trusted, root=root, **parameters), parallel, optimize)

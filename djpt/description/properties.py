@@ -106,6 +106,10 @@ class Merging:
     known: dict[Hashable, int] = field(default_factory=dict)
     """The first plugin of each description."""
 
+    def of(self, keys: set[str]) -> Merging:
+        """The same, for a node of which the entries of these keys are described."""
+        return Merging(keys, self.first, self.known)
+
     def note(self, plugin: Plugin, type_name: str, values: Mapping[str, Any]) -> None:
         """Note a plugin that was built from a node of this type with these entries, nested plugins among them."""
         if plugin.kind not in APART:
@@ -119,6 +123,8 @@ class Merging:
         if isinstance(value, (bool, int, float, str)):
             return type(value), value
         if isinstance(value, (list, tuple)):
+            if {*map(type, value)} == {float}:
+                return float, tuple(value)
             return tuple, tuple(map(self.content, value))
         return object, id(value)
 

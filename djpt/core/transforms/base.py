@@ -63,13 +63,13 @@ def rotation(axis: Any, angle: Any, place: str, stacklevel: int) -> Matrix:
         SceneError: the axis is zero.
     """
     direction, radians = as_vector(axis), math.radians(as_number(angle))
-    length = float(np.linalg.norm(direction))
+    length = math.sqrt(direction.dot(direction))
     if length == 0:
         raise SceneError("the axis has length 0")
     unit = is_unit(length)
     if not unit:
         warn_of_length(length, place, stacklevel + 1)
-    matrix = np.eye(4)
+    matrix = IDENTITIES[4].copy()
     if unit:
         matrix[:3, :3] = about_axis(direction / length, radians)
     else:
@@ -167,7 +167,7 @@ class Chained:
     def __get__(self, instance: Any, owner: type[Any]) -> Callable[..., Any]:
         def chained(*args: Any, **kwargs: Any) -> Any:
             try:
-                right = owner(self.build(owner, *args, **kwargs))
+                right = owner._built(self.build(owner, *args, **kwargs))
             except SceneError as error:
                 raise SceneError(f"{self.build.__name__}: {error}") from None
             return right if instance is None else instance @ right
@@ -210,6 +210,11 @@ class Transform:
 
     def __init__(self, matrix: Any = None, inverse_transpose: Any = None) -> None:
         raise NotImplementedError
+
+    @classmethod
+    def _built(cls, value: Any) -> Self:
+        """The transform of what one of the builders has made."""
+        return cls(value)
 
     # ---- composing ---------------------------------------------------------------------
 

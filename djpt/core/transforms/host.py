@@ -8,7 +8,7 @@ import drjit as dr
 import drjit.scalar as scalar
 import numpy as np
 
-from djpt.core.numeric import as_array, as_number, as_vector, cross_product, describe
+from djpt.core.numeric import as_array, as_number, as_vector, cross_product, describe, is_finite
 from djpt.core.transforms.base import (
     IDENTITIES,
     Chained,
@@ -67,6 +67,18 @@ class HostTransform(Transform):
         ):
             raise SceneError("inverse_transpose isn't the transposed inverse of the matrix")
 
+    @classmethod
+    def _built(cls, value: Any) -> Self:
+        # A new matrix, whose form is right: that of a product, too.
+        if type(value) is not np.ndarray:
+            return cls(value)
+        if not is_finite(value):
+            raise SceneError(f"must be finite in single precision, found {describe(value)}")
+        result = cls.__new__(cls)
+        value.flags.writeable = False
+        result._matrix = value
+        return result
+
     @property
     def matrix(self) -> Matrix:
         """(size, size) float64, row-major, read-only."""
@@ -86,7 +98,7 @@ class HostTransform(Transform):
     @Chained
     def translate(kind: Any, v: Any) -> Matrix:
         """Move by `v`, one number per axis or one for all."""
-        matrix = np.eye(kind.size)
+        matrix: Matrix = IDENTITIES[kind.size].copy()
         matrix[:-1, -1] = kind._per_axis(v)
         return matrix
 
@@ -101,13 +113,13 @@ class HostTransform(Transform):
         array, n = as_array(v), cls.size - 1
         if array.shape not in ((), (n,)):
             raise SceneError(f"must be one or {COUNTS[n]} numbers, found {describe(v)}")
-        return np.broadcast_to(array, n)
+        return array if array.ndim else np.full(n, float(array))
 
     # ---- composing and applying --------------------------------------------------------
 
     @classmethod
     def _product(cls, left: Self, right: Self) -> Self:
-        return cls(left._matrix @ right._matrix)
+        return cls._built(left._matrix @ right._matrix)
 
     def transform_point(self, p: Any) -> Any:
         """Apply to points.
@@ -253,7 +265,7 @@ class SpatialHostTransform(HostTransform):
         if length <= 1e-9 * np.linalg.norm(up):
             raise SceneError(f"up = {up.tolist()} is zero or parallel to the direction of view")
         left /= length
-        matrix = np.eye(4)
+        matrix: Matrix = IDENTITIES[4].copy()
         matrix[:3] = np.stack([left, cross_product(direction, left), direction, eye], axis=1)
         return matrix
 
@@ -263,21 +275,21 @@ class SpatialHostTransform(HostTransform):
         low, high = as_number(near), as_number(far)
         if low == high:
             raise SceneError(f"near and far are the same distance {low:g}")
-        matrix = np.eye(4)
+        matrix: Matrix = IDENTITIES[4].copy()
         matrix[2, 2:] = 1 / (high - low), -low / (high - low)
         return matrix
 
     @Chained
     def to_frame(kind: Any, frame: Any) -> Matrix:
         """Map local coordinates of an orthonormal `frame` (a `Frame3f`) to world space: the columns are its axes."""
-        matrix = np.eye(4)
+        matrix: Matrix = IDENTITIES[4].copy()
         matrix[:3, :3] = np.stack([as_vector(axis) for axis in (frame.s, frame.t, frame.n)], axis=1)
         return matrix
 
     @Chained
     def from_frame(kind: Any, frame: Any) -> Matrix:
         """Map world space to local coordinates of an orthonormal `frame`: the rows are its axes."""
-        matrix = np.eye(4)
+        matrix: Matrix = IDENTITIES[4].copy()
         matrix[:3, :3] = np.stack([as_vector(axis) for axis in (frame.s, frame.t, frame.n)])
         return matrix
 
@@ -324,7 +336,7 @@ class ScalarTransform3f(HostTransform):
 
     def expand(self) -> ScalarTransform4f:
         """The transform of space that does the same to x and y, and keeps z: `extract` reversed."""
-        matrix = np.eye(4)
+        matrix: Matrix = IDENTITIES[4].copy()
         matrix[np.ix_([0, 1, 3], [0, 1, 3])] = self._matrix
         return ScalarTransform4f(matrix)
 

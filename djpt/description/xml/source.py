@@ -11,11 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
-from xml.etree.ElementTree import ParseError
-
-from defusedxml import DefusedXmlException
-from defusedxml.ElementTree import DefusedXMLParser
+from typing import Any, NoReturn
+from xml.parsers import expat
 
 from djpt.core.files import read_bytes
 from djpt.core.limits import LARGEST
@@ -69,34 +66,34 @@ def parse_file(path: Path) -> Element:
 def parse(text: str | bytes, name: str) -> Element:
     """Parse a text into its root element; `name` is the file's name in messages. Raises `SceneError`."""
     builder = _Builder(name)
-    parser = DefusedXMLParser(target=builder, forbid_dtd=True, forbid_entities=True, forbid_external=True)
-    builder.expat = parser.parser
     try:
-        parser.feed(text)
-        root: Any = parser.close()
-    except ParseError as error:
-        line, column = error.position
+        builder.expat.Parse(text, True)
+    except expat.ExpatError as error:
         # Python's message ends with the position, which is in front here.
         problem = str(error).partition(": line ")[0]
-        raise SceneError(f"{name}:{line}: not well-formed XML: {problem} (column {column + 1})") from None
-    except DefusedXmlException:
-        raise SceneError(f"{builder.place}: document types and entities aren't allowed in scene files") from None
+        raise SceneError(f"{name}:{error.lineno}: not well-formed XML: {problem} (column {error.offset + 1})") from None
     except SceneError:
         raise
     except (LookupError, UnicodeError, ValueError) as error:
         raise SceneError(f"{builder.place}: can't read the text: {error}") from None
-    assert isinstance(root, Element)
-    return root
+    assert builder.root is not None  # else the parser has raised
+    return builder.root
 
 
 class _Builder:
-    """The tree builder that the parser reports to."""
+    """The tree builder that the parser `expat` reports to."""
 
     def __init__(self, name: str) -> None:
         self.name = name
-        self.expat: Any = None
         self.open: list[Element] = []
         self.root: Element | None = None
+        self.expat = expat.ParserCreate()
+        self.expat.StartElementHandler = self.start
+        self.expat.EndElementHandler = self.end
+        # Entities can only be declared in a document type, so none is ever expanded, nor any other file read.
+        self.expat.StartDoctypeDeclHandler = self.refuse
+        self.expat.EntityDeclHandler = self.refuse
+        self.expat.ExternalEntityRefHandler = self.refuse
 
     @property
     def place(self) -> str:
@@ -104,7 +101,7 @@ class _Builder:
         return f"{self.name}:{self.expat.CurrentLineNumber}"
 
     def start(self, tag: str, attributes: dict[str, str]) -> None:
-        element = Element(tag, dict(attributes), self.place)
+        element = Element(tag, attributes, self.place)
         if len(self.open) >= MAX_NESTING:
             raise element.error(f"nested deeper than {MAX_NESTING} levels")
         if self.open:
@@ -116,12 +113,9 @@ class _Builder:
     def end(self, tag: str) -> None:
         self.open.pop()
 
-    def data(self, text: str) -> None:
-        """Ignore text between tags."""
-
-    def close(self) -> Element:
-        assert self.root is not None  # else the parser has raised already
-        return self.root
+    def refuse(self, *_: Any) -> NoReturn:
+        """Raise `SceneError` for what could name other files, or grow without bounds."""
+        raise SceneError(f"{self.place}: document types and entities aren't allowed in scene files")
 
 
 # ---- nodes, before names and references are resolved -----------------------------------------

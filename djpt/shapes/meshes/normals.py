@@ -18,7 +18,7 @@ from djpt.shapes.meshes.normal_functions import PARAMETERS, add_normal_functions
 
 __all__ = ["CHUNK", "FUNCTIONS", "face_areas", "length", "weighted_normals"]
 
-FUNCTIONS = HostFunctions(add_normal_functions, PARAMETERS, small=4096, few=16)
+FUNCTIONS = HostFunctions(add_normal_functions, PARAMETERS, small=4096, few=64)
 """The functions for many triangles, or many meshes; NumPy does the rest, with the same results to the last bit."""
 
 CHUNK = 1 << 13
