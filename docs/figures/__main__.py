@@ -16,6 +16,7 @@ import estimators
 import experiments
 import house
 import illumination
+import measures
 import mist
 import observers
 import packets
@@ -31,7 +32,7 @@ FIGURES = {
     name: getattr(module, name)
     for module in (
         *(proof, box, surfaces, illumination, mist, vapour, observers, blur, estimators, ends, slopes),
-        *(experiments, rounds, window, comparison, house, chains, packets, cells, cards),
+        *(experiments, rounds, window, comparison, house, chains, packets, cells, measures, cards),
     )
     for name in module.__all__
 }
