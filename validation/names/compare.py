@@ -441,7 +441,13 @@ def share(number: Counter[Verdict]) -> float:
 def render_page(found: list[Finding]) -> str:
     """The page in Markdown."""
     different = [f"* `{f.name.path}`: {f.note}" for f in found if f.verdict is Verdict.DIFFERENT]
-    lines = [read_beside(__file__, "head.txt"), *summary(found), *exclusions(found), "## Different", "", *different, ""]
+    lines = [
+        read_beside(__file__, "head.txt"),
+        *summary(found),
+        read_beside(__file__, "scripts.txt"),
+        *exclusions(found),
+    ]
+    lines += ["## Different", "", *different, ""]
     lines += ["## Absent", "", *by_owner(found, Verdict.ABSENT), "", HERE, "", *by_owner(found, Verdict.HERE)]
     return "\n".join(lines) + "\n"
 
