@@ -2,8 +2,9 @@
 
 The vertices move along straight lines from one set to the next, so a box that is interpolated between the boxes about
 two sets holds the triangles at every time between them (P. Christensen et al., "RenderMan: An Advanced Path-Tracing
-Architecture for Movie Rendering", ACM Trans. Graph. 37(3), 2018, section on motion blur). Nodes are in depth-first
-order, each with the number of the node behind its subtree: a ray that misses a box goes there, and no stack is needed.
+Architecture for Movie Rendering", ACM Trans. Graph. 37(3), 2018, section on motion blur). The tree is threaded: each
+node has a link to the next one where its box is hit, and another one where it is missed, so no stack is needed. There
+is a set of links for each octant of directions, by which the nearer of two children comes first.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ __all__ = ["DeformingGeometry"]
 
 NO_FACE = 0xFFFFFFFF
 ROW = 8
-"""Words of a node's row: low and high corner of its box, the node behind its subtree, its face or `NO_FACE`."""
+"""Words of a node's row: low and high corner of its box, its face or `NO_FACE`, unused."""
 
 
 @dataclass
@@ -73,7 +74,8 @@ class DeformingGeometry(Geometry):
         low, high = corners.min(axis=2), corners.max(axis=2)
         tree = build(low.min(axis=0), high.max(axis=0))
         self._node_count = dr.opaque(UInt32, len(tree.left))
-        self._nodes = own_copy(node_rows(tree, low, high))
+        boxes = moving_boxes(tree, low, high)
+        self._nodes, self._links = own_copy(node_rows(tree, boxes)), own_copy(links(tree, boxes))
         self._sets, vertices = len(mesh.times), len(mesh.positions)
         self._vertex_count = dr.opaque(UInt32, vertices)
         self._positions = own_copy(four_wide(mesh.sets))
@@ -146,6 +148,8 @@ class DeformingGeometry(Geometry):
         """Walk through the tree."""
         moment, plane, inv = self._moment(ray.time), RayPlane(ray.o, ray.d), reciprocal(ray.d)
         lanes = dr.width(ray, active)
+        signs = (dr.select(ray.d[axis] < 0, UInt32(1 << axis), 0) for axis in range(3))
+        octant = sum(signs, start=UInt32(0)) * self._node_count
 
         def visit(walk: Walk) -> tuple[Walk]:
             row = moment.first * self._node_count + walk.node
@@ -156,7 +160,8 @@ class DeformingGeometry(Geometry):
             for axis in range(3):
                 near, far = ((box[axis + side] - ray.o[axis]) * inv[axis] for side in (0, 3))
                 entry, leave = maximum(entry, minimum(near, far)), minimum(leave, maximum(near, far))
-            behind, face = words[0][6], words[0][7]
+            face = words[0][6]
+            onwards: Any = dr.gather(ArrayXu, self._links, octant + walk.node, shape=(2, 1))
             met = entry <= leave * (1 + 4e-7)
             leaf = met & (face != NO_FACE)
 
@@ -167,7 +172,7 @@ class DeformingGeometry(Geometry):
                 return dr.select(closer, hit.t, t), dr.select(closer, face, found)
 
             t, found = if_stmt((walk.t, walk.face), leaf, test, lambda t, found: (t, found), label="deforming leaf")
-            onward = dr.select(met, walk.node + 1, behind)
+            onward = dr.select(met, onwards[0], onwards[1])
             if any_hit:
                 onward = dr.select(found != NO_FACE, self._node_count, onward)
             return (Walk(onward, t, found),)
@@ -231,40 +236,61 @@ def four_wide(sets: NDArray[np.float32]) -> NDArray[np.float32]:
     return rows
 
 
-def node_rows(tree: BinaryTree, low: NDArray[np.float32], high: NDArray[np.float32]) -> NDArray[np.uint32]:
-    """The rows of all nodes in depth-first order, of one set after the other: (sets, nodes, 8) words.
-
-    `low` and `high` (sets, F, 3) are the corners of the boxes about triangles.
-    """
-    left, primitive = tree.left, tree.primitive
-    count, inner = len(left), left >= 0
-    levels = [np.array([0])]
-    while True:
-        parents = levels[-1][inner[levels[-1]]]
-        if not len(parents):
-            break
-        levels.append(np.concatenate([left[parents], left[parents] + 1]))
-    size = np.ones(count, np.int64)
-    boxes = np.zeros((len(low), count, 6), np.float32)
-    leaves = np.flatnonzero(~inner)
-    boxes[:, leaves, :3], boxes[:, leaves, 3:] = low[:, primitive[leaves]], high[:, primitive[leaves]]
-    for level in reversed(levels):
-        nodes = level[inner[level]]
-        a, b = left[nodes], left[nodes] + 1
-        size[nodes] += size[a] + size[b]
+def moving_boxes(tree: BinaryTree, low: NDArray[np.float32], high: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The boxes of all nodes about each set, (sets, nodes, 6), from those about triangles, (sets, F, 3)."""
+    inner = tree.left >= 0
+    boxes = np.zeros((len(low), len(inner), 6), np.float32)
+    faces = tree.primitive[~inner]
+    boxes[:, ~inner, :3], boxes[:, ~inner, 3:] = low[:, faces], high[:, faces]
+    for nodes in reversed(inner_levels(tree)):
+        a, b = tree.left[nodes], tree.left[nodes] + 1
         boxes[:, nodes, :3] = np.minimum(boxes[:, a, :3], boxes[:, b, :3])
         boxes[:, nodes, 3:] = np.maximum(boxes[:, a, 3:], boxes[:, b, 3:])
-    place = np.zeros(count, np.int64)
-    for level in levels:
-        nodes = level[inner[level]]
-        place[left[nodes]] = place[nodes] + 1
-        place[left[nodes] + 1] = place[nodes] + 1 + size[left[nodes]]
     # Rounding must not make the interpolated boxes smaller than what they hold.
     slack = np.float32(4e-6) * np.abs(boxes).max(initial=1e-30)
     boxes[..., :3] -= slack
     boxes[..., 3:] += slack
-    rows = np.zeros((len(low), count, ROW), np.uint32)
-    rows[:, place, :6] = boxes.view(np.uint32)
-    rows[:, place, 6] = (place + size).astype(np.uint32)
-    rows[:, place, 7] = np.where(inner, NO_FACE, primitive.astype(np.int64)).astype(np.uint32)
+    return boxes
+
+
+def inner_levels(tree: BinaryTree) -> list[NDArray[np.int64]]:
+    """The inner nodes of a tree, level by level from the root."""
+    levels: list[NDArray[np.int64]] = []
+    nodes = np.zeros(1, np.int64)
+    while len(nodes := nodes[tree.left[nodes] >= 0]):
+        levels.append(nodes)
+        nodes = np.concatenate([tree.left[nodes], tree.left[nodes] + 1]).astype(np.int64)
+    return levels
+
+
+def node_rows(tree: BinaryTree, boxes: NDArray[np.float32]) -> NDArray[np.uint32]:
+    """The rows of all nodes, of one set after the other: (sets, nodes, 8) words."""
+    rows = np.zeros((*boxes.shape[:2], ROW), np.uint32)
+    rows[..., :6] = boxes.view(np.uint32)
+    rows[..., 6] = np.where(tree.left >= 0, NO_FACE, tree.primitive.astype(np.int64)).astype(np.uint32)
     return rows
+
+
+def links(tree: BinaryTree, boxes: NDArray[np.float32]) -> NDArray[np.uint32]:
+    """The links of all nodes by octant, (8, nodes, 2): the next node where the box is hit, and where it is missed.
+
+    The last link is the number of nodes. Bit k of an octant is set where the direction is negative along axis k.
+    """
+    count = len(tree.left)
+    result = np.full((8, count, 2), count, np.uint32)
+    middles = (boxes[..., :3] + boxes[..., 3:]).mean(axis=0)
+    for nodes in inner_levels(tree):
+        left = tree.left[nodes]
+        apart = middles[left + 1] - middles[left]
+        axis = np.abs(apart).argmax(axis=1)
+        right_is_further = apart[np.arange(len(nodes)), axis] > 0
+        for octant in range(8):
+            forwards = (octant >> axis) & 1 == 0
+            first = np.where(right_is_further == forwards, left, left + 1)
+            second = 2 * left + 1 - first
+            behind = result[octant, nodes, 1]
+            result[octant, nodes, 0], result[octant, first, 1] = first, second
+            result[octant, second, 1] = behind
+    leaves = tree.left < 0
+    result[:, leaves, 0] = result[:, leaves, 1]
+    return result

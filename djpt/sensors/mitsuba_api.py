@@ -40,6 +40,7 @@ class SampledRays:
         weight: float
         uses_aperture: bool
         has_neighbours: ClassVar[bool]
+        carrier: Any
 
         def film(self) -> Film:
             """See `Sensor`."""
@@ -109,6 +110,8 @@ class SampledRays:
         As `sample_wi`, but `ds.uv` is the position on the crop window in pixels. The importance is 0 on lanes that
         aren't active.
         """
+        if self.carrier is not None:
+            raise self.unanswered("no directions while it moves: ask the sensors of scene.at_time(t)")
         ds, importance = self.sample_wi(Point3f(getattr(it, "p", it)), Point2f(sample), active)
         ds.uv = ds.uv * Point2f(self.film().crop_size())
         return ds, Color3f(dr.select(active, importance, 0))

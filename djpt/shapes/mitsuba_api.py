@@ -24,7 +24,7 @@ from djpt.core.records import (
 from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import lookup
-from djpt.errors import SceneError, near_miss
+from djpt.errors import RenderError, SceneError, near_miss
 from djpt.jit.types import ArrayXf, Bool, Color3f, Float, Point2f, UInt32
 from djpt.shapes.silhouettes.mitsuba_api import SilhouetteQuestions
 
@@ -224,8 +224,13 @@ class ShapeQuestions(TextureAttributes, SilhouetteQuestions):
         return self.primitive_count()
 
     def bbox(self, index: int | None = None, clip: Any = None) -> ScalarBoundingBox3f:
-        """The box about the shape in world space, or about primitive number `index`, cut by the box `clip`."""
+        """The box about the shape in world space, or about primitive number `index`, cut by the box `clip`.
+
+        That of a shape that moves holds it at all times.
+        """
         low, high = self._box(index)
+        if self.motion is not None:
+            low, high = self.motion.keyframes.box(low, high)
         if clip is not None:
             low, high = np.maximum(low, np.array(clip.min).ravel()), np.minimum(high, np.array(clip.max).ravel())
         return ScalarBoundingBox3f(low, high)
@@ -270,28 +275,41 @@ class ShapeQuestions(TextureAttributes, SilhouetteQuestions):
         """
         if not self.has_parameterization:  # type: ignore[attr-defined]
             raise SceneError(f"{self.id()}: texture coordinates don't determine a point of this shape")
+        self._require_still()
         ps = self.at_uv(Point2f(uv))  # type: ignore[attr-defined]
         si = self.alone().revisit(ps.p, -ps.n, UInt32(0))
         si.t = dr.select(active, Float(0), dr.inf)
         return si
 
     def sample_position(self, time: Any, sample: Any, active: Bool | bool = True) -> PositionSample3f:
-        """Sample a point uniformly by area: pdf = 1 / area. Shapes don't move, so `time` is just noted."""
+        """Sample a point uniformly by area: pdf = 1 / area. The `time` is just noted.
+
+        Raises:
+            RenderError: The shape moves.
+        """
+        self._require_still()
         ps: PositionSample3f = self.draw_point(Point2f(sample))  # type: ignore[attr-defined]
         ps.time = time
         return ps
 
     def sample_direction(self, it: Observer, sample: Any, active: Bool | bool = True) -> DirectionSample3f:
         """Sample a point of the shape as seen from `it`; the pdf is per unit solid angle there."""
+        self._require_still()
         return self.draw_direction(it.p, Point2f(sample))  # type: ignore[attr-defined]
 
     def pdf_direction(self, it: Observer, ps: DirectionSample3f, active: Bool | bool = True) -> Float:
         """The density of `sample_direction` at `ps`, per unit solid angle at `it`."""
+        self._require_still()
         return dr.select(active, self.direction_density(it.p, ps), 0)  # type: ignore[attr-defined]
 
     def pdf_position(self, ps: PositionSample3f, active: Bool | bool = True) -> Float:
         """The density of `sample_position`, per unit area."""
         return dr.select(active, dr.rcp(self.surface_area()), 0)  # type: ignore[attr-defined]
+
+    def _require_still(self) -> None:
+        """Raise `RenderError` if the shape moves: it then answers in its own space."""
+        if self.moves:  # type: ignore[attr-defined]
+            raise RenderError(f"{self.id()}: points of what moves aren't sampled; ask the shapes of scene.at_time(t)")
 
     def used_in(self, scene: Any) -> None:
         """Note that a scene contains the shape."""

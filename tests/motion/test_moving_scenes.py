@@ -228,3 +228,17 @@ WIDE = djpt.Mesh("wide", [[0, 0, 0], [2, 0, 0], [0, 1, 0], [1, 1, 0]], [[0, 1, 2
 def test_meshes_that_cannot_deform_say_so(parts: dict[str, Any], message: str) -> None:
     with pytest.raises(djpt.SceneError, match=message):
         djpt.load_dict({"type": "deforming", **parts})
+
+
+def test_questions_about_what_moves_are_refused_by_name() -> None:
+    scene = djpt.load_dict(cameras())
+    box, camera = next(shape for shape in scene.shapes() if shape.moves), scene.sensors()[0]
+    with pytest.raises(djpt.RenderError, match="at_time"):
+        box.sample_position(0.0, djpt.Point2f(0.5))
+    with pytest.raises(djpt.RenderError, match="at_time"):
+        camera.sample_direction(djpt.Point3f(0), djpt.Point2f(0.5))
+    still = scene.at_time(0.5)
+    box = next(shape for shape in still.shapes() if shape.id() == box.id())
+    assert np.isfinite(np.array(box.sample_position(0.0, djpt.Point2f(0.5)).p)).all()
+    low, high = (np.array(corner) for corner in (scene.shapes()[-2].bbox().min, scene.shapes()[-2].bbox().max))
+    assert (low < high).all()
