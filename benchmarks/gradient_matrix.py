@@ -1,8 +1,12 @@
-"""Measure the gradient matrix and write its page: ``python benchmarks/gradient_matrix.py`` (20 minutes, two cores)."""
+"""Measure the gradient matrix and write its page: ``python benchmarks/gradient_matrix.py`` (an hour on two cores).
+
+With words as arguments, only the cells whose labels contain one of them are measured, and the others of the page kept.
+"""
 
 from __future__ import annotations
 
 import djpt  # isort: skip (first: it finds the LLVM library that Dr.Jit opens)
+import re
 import sys
 from collections import Counter
 from pathlib import Path
@@ -15,9 +19,10 @@ HEAD = """# The gradient matrix
 
 Derivatives of small images with respect to each kind of parameter, compared with central differences. In each scene a
 number moves something or changes a parameter; the derivative is that of a weighted sum of all pixels, by forward mode.
-It is *right* if it is within 3 % or 4 standard errors of central differences (two steps, Richardson's extrapolation,
-images by `path` or `volpath`, 2048 or 8192 samples per pixel, 4 to 32 seeds); *noisy* if it is, but the standard error
-is more than 3 % of the derivative and 0.1 % of the sum; *refused* if an error says what would be wrong and what to do.
+It is *right* if it is within 3 % of central differences, or Welch's test finds z below 4 (two steps, Richardson's
+extrapolation, images by `path` or `volpath`, 2048 or 8192 samples per pixel, 4 to 64 seeds); *noisy* if it is, but the
+standard error is more than 3 % of the derivative and 0.1 % of the sum; *refused* if an error says what would be wrong
+and what to do.
 
 `python benchmarks/gradient_matrix.py` made this page with djpt {version}; `make check` measures it again.
 
@@ -25,19 +30,50 @@ is more than 3 % of the derivative and 0.1 % of the sum; *refused* if an error s
 """
 
 
-def page(found: dict[str, Outcome]) -> str:
-    """The page, from the outcomes by the labels of cells."""
-    counts = Counter(outcome.verdict for outcome in found.values())
+PAGE = ROOT / "docs" / "gradient-matrix.md"
+
+
+def page(rows: dict[str, str], reasons: list[str]) -> str:
+    """The page, from the lines of tables by the labels of cells, and the reasons of refusals."""
+    rows = {label: rows[label] for label in CELLS if label in rows}
+    counts = Counter(verdict_of(line) for line in rows.values())
     told = ", ".join(f"{number} {verdict}" for verdict, number in counts.most_common())
-    lines = [HEAD.format(version=djpt.__version__, count=len(found), total=len(CELLS), counts=told)]
+    lines = [HEAD.format(version=djpt.__version__, count=len(rows), total=len(CELLS), counts=told)]
     for group in dict.fromkeys(cell.group for cell in CELLS.values()):
         lines.append(f"\n## {group[0].upper()}{group[1:]}\n")
         lines.append(
             "| | integrator | derivative | differences | standard error | z | |\n|---|---|---|---|---|---|---|"
         )
-        lines += [row(cell, found[label]) for label, cell in CELLS.items() if cell.group == group and label in found]
-    reasons = dict.fromkeys(outcome.reason for outcome in found.values() if outcome.verdict == "refused")
-    return "\n".join([*lines, "\n## Why derivatives are refused\n", *(f"* {text}" for text in sorted(reasons)), ""])
+        lines += [line for label, line in rows.items() if CELLS[label].group == group]
+    return "\n".join([*lines, f"\n{REASONS}\n", *(f"* {text}" for text in sorted(set(reasons))), ""])
+
+
+REASONS = "## Why derivatives are refused"
+
+
+def known() -> tuple[dict[str, str], list[str]]:
+    """What the page has: the lines of tables by the labels of cells, and the reasons of refusals."""
+    tables, _, reasons = PAGE.read_text(encoding="utf-8").partition(REASONS)
+    labels = {start_of(cell): label for label, cell in CELLS.items()}
+    rows, group = {}, ""
+    for line in tables.splitlines():
+        if line.startswith("## "):
+            group = line[3:].lower()
+        start = "|".join(line.split("|")[:3])
+        label = labels.get(f"{group}{start}")
+        if label is not None:
+            rows[label] = line
+    return rows, re.findall(r"^\* (.*)$", reasons, re.MULTILINE)
+
+
+def start_of(cell: Cell) -> str:
+    """The group of a cell, and the first columns of its line."""
+    return f"{cell.group}| {cell.name} | `{cell.integrator['type']}` "
+
+
+def verdict_of(line: str) -> str:
+    """The last column."""
+    return line.split("|")[-2].strip()
 
 
 def row(cell: Cell, outcome: Outcome) -> str:
@@ -49,14 +85,17 @@ def row(cell: Cell, outcome: Outcome) -> str:
     return f"{start} {numbers} | {outcome.verdict} |"
 
 
-def main() -> None:
-    """Measure all cells."""
-    found = {}
-    for number, (label, cell) in enumerate(CELLS.items(), 1):
-        found[label] = cell.measured()
-        print(f"{number}/{len(CELLS)} {label}: {found[label].verdict}", flush=True)
-    (ROOT / "docs" / "gradient-matrix.md").write_text(page(found), encoding="utf-8")
+def main(words: list[str]) -> None:
+    """Measure all cells, or those whose labels contain any of some words."""
+    rows, reasons = known() if words else ({}, [])
+    chosen = [label for label in CELLS if not words or any(word in label for word in words)]
+    for number, label in enumerate(chosen, 1):
+        outcome = CELLS[label].measured()
+        rows[label] = row(CELLS[label], outcome)
+        reasons += [outcome.reason] if outcome.verdict == "refused" else []
+        print(f"{number}/{len(chosen)} {label}: {outcome.verdict}", flush=True)
+        PAGE.write_text(page(rows, reasons), encoding="utf-8")
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])

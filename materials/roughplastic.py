@@ -99,7 +99,7 @@ class RoughPlastic(SharedWorkBSDF):
         # In kernels, a `Table` stands in the place of each tensor.
         self.coat: Any = coat(self.distribution, alpha, eta)
         # Differences: reflection has kinks, at total reflection, which derivatives of a quadrature miss.
-        wide, far = opaque(0.05 * dr.maximum(alpha, MIN_ALPHA)), opaque(0.02 * eta)
+        wide, far = opaque(0.05 * dr.maximum(alpha, MIN_ALPHA)), opaque(0.01 * eta)
         self.coat_by_alpha: Any = self._change((alpha + wide, eta), (alpha - wide, eta), wide, self.alpha)
         self.coat_by_eta: Any = self._change((alpha, eta + far), (alpha, eta - far), far, self.eta)
         # Now, so that no rendering's kernel contains this work.

@@ -553,7 +553,7 @@ def uniform_spherical_lune_to_square(d: Vector3f, n1: Normal3f, n2: Normal3f) ->
 @converting
 def square_to_uniform_spherical_lune_pdf(d: Vector3f, n1: Normal3f, n2: Normal3f) -> Float:
     """The density 1 / (8 half) in the lunes, with `half` half of the angle between the normals, else 0."""
-    half = 0.5 * dr.acos(dr.dot(n1, n2))
+    half = 0.5 * _angle(n1, n2)
     return dr.select(dr.dot(d, n1) * dr.dot(d, n2) <= 0, dr.rcp(8 * half), 0)
 
 
@@ -561,7 +561,12 @@ def _lune(n1: Normal3f, n2: Normal3f) -> tuple[Vector3f, Vector3f, Vector3f, Flo
     """A frame (middle of the first lune, mean of the normals, edge), and half of the angle of a lune."""
     z = dr.normalize(dr.cross(n1, n2))
     y = dr.normalize(n1 + n2)
-    return dr.cross(z, y), y, z, 0.5 * dr.acos(dr.dot(n1, n2))
+    return dr.cross(z, y), y, z, 0.5 * _angle(n1, n2)
+
+
+def _angle(n1: Normal3f, n2: Normal3f) -> Float:
+    """The angle between two normals, also where it is small."""
+    return dr.atan2(dr.norm(dr.cross(n1, n2)), dr.dot(n1, n2))
 
 
 # ---- the square [-1, 1]^2 as the octahedron of directions ------------------------------------

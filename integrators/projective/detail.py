@@ -190,7 +190,7 @@ class ProjectiveDetail:
         parent = self.parent
 
         def integrand(points: Point3f, sampler: Any) -> Any:
-            return self.eval_indirect_integrand(scene, sensor, points, sampler, preprocess=True)
+            return Color3f(self._mass(scene, sensor, points, sampler)), [], Point2f(0)
 
         tree = OcSpaceDistr(
             parent.octree_max_depth,
@@ -246,8 +246,8 @@ class ProjectiveDetail:
         """
         parent, sensor = self.parent, seen_through(sensor, sampler)
         with dr.suspend_grad():
-            lune = DiscontinuityFlags.DirectionLune if parent.guiding == "none" else DiscontinuityFlags.DirectionSphere
-            flags = DiscontinuityFlags.AllTypes | DiscontinuityFlags.Creases | lune
+            # Of an edge of a mesh only the directions that part its triangles, which are few.
+            flags = DiscontinuityFlags.AllTypes | DiscontinuityFlags.Creases | DiscontinuityFlags.DirectionLune
             ss = scene.sample_silhouette(Point3f(sample), int(flags), active)
             active = active & ss.is_valid()
             importance, place, edges, reached, viewer = parent.sample_viewer(
@@ -258,10 +258,10 @@ class ProjectiveDetail:
             active = active & known
             weight = dr.select(active, importance * (ss.foreshortening * dr.rcp(ss.pdf)), 0)
             if preprocess:
-                seen_moving = Receiver(parent, scene, sensor, ss, place, edges, viewer, active).moves()
+                reach = Receiver(parent, scene, sensor, ss, place, edges, viewer, active).reach()
                 moving = [k for k, s in enumerate(scene.silhouette_shapes()) if s.parameters_grad_enabled()]
                 jump = dr.select(is_one_of(ss.scene_index, moving), dr.abs(front - back), 0)
-                return weight * (jump + dr.select(seen_moving, back, 0)), [], Point2f(0)
+                return weight * (jump + back * reach), [], Point2f(0)
             behind = scene.ray_intersect(ss.spawn_ray(), active=active).t
             keep(ss, active, weight, front, back, behind, place, edges, viewer)
         receiver = Receiver(parent, scene, sensor, ss, place, edges, viewer, active)

@@ -290,7 +290,8 @@ class OcSpaceDistr(BaseGuidingDistr):
         index, chance = self.pmf.sample_pmf(sampler.next_1d())
         low, high = dr.gather(Point3f, self.lower, index), dr.gather(Point3f, self.upper, index)
         size = high - low
-        return Vector3f(dr.lerp(low, high, three(sampler))), size.x * size.y * size.z * dr.rcp(chance)
+        inverse = dr.select(chance > 0, size.x * size.y * size.z * dr.rcp(chance), 0)
+        return Vector3f(dr.lerp(low, high, three(sampler))), inverse
 
     def __repr__(self) -> str:
         return f"OcSpaceDistr[leaves={0 if self.pmf.empty() else dr.width(self.lower)}]"

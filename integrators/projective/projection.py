@@ -114,7 +114,7 @@ class ProjectOperation:
         else:
             ss, valid = self.hybrid_mesh_projection(scene, si_guide, ray_guide.o, state, active, self.max_walk)
         ss.discontinuity_type = dr.select(valid, ss.discontinuity_type, 0)
-        ss.flags = UInt32(int(PERIMETER | DiscontinuityFlags.DirectionSphere | CREASES))
+        ss.flags = UInt32(int(PERIMETER | DiscontinuityFlags.DirectionLune | CREASES))
         return ss
 
     def mesh_walk(

@@ -14,6 +14,10 @@ from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 __all__ = ["Receiver", "followed"]
 
 
+GRAZING = 0.02
+"""The cosine below which guides don't follow how fast points slide."""
+
+
 class Receiver:
     """The points x that see silhouettes at y, whose normal is n: hits of the sensor's rays, or of the next vertex's.
 
@@ -47,7 +51,7 @@ class Receiver:
         if viewer is not None:
             o, d, seen = dr.select(by_sensor, o, viewer.o), dr.select(by_sensor, d, viewer.d), Bool(active)
         self._si = integrator.first_hit(scene, Ray3f(o, d), seen, by_sensor)
-        self._scene, self._ss, self._seen = scene, ss, seen & self._si.is_valid()
+        self._scene, self._ss, self._d, self._seen = scene, ss, d, seen & self._si.is_valid()
 
     def speed_at_edge(self, behind: Float) -> Float:
         """The speed along n at y of lines from x to fixed points, which are `behind` y at a distance: 0, attached.
@@ -72,13 +76,14 @@ class Receiver:
         """The distance between x and y."""
         return dr.norm(dr.detach(self._si.p) - dr.detach(self._ss.p))
 
-    def moves(self) -> Bool:
-        """Whether x lies on a shape that moves."""
-        found = self._by_sensor & self._sensor_moves
+    def reach(self) -> Float:
+        """How far x slides at most as its shape, or the sensor, moves by 1: the inverse cosine of its ray; else 0."""
+        moves = self._by_sensor & self._sensor_moves
         for shape in self._scene.shapes():
             if shape.parameters_grad_enabled():
-                found = found | (self._si.shape == shape)
-        return found & self._seen
+                moves = moves | (self._si.shape == shape)
+        cosine = dr.abs(dr.dot(self._si.n, self._d))
+        return dr.select(moves & self._seen, dr.rcp(dr.maximum(cosine, GRAZING)), 0)
 
 
 def rest_of_way(passed: Float, behind: Float) -> Float:

@@ -9,24 +9,14 @@ from tests.gradients.matrix import CELLS
 QUICK = (
     "a camera: perspective, aside, point, direct_projective",
     "a light that moves: map, turn, direct_projective",
+    "a material: normalmap-diffuse, normalmap.data, prb",
     "a material: roughplastic-colour, diffuse_reflectance.value, prb",
     "a medium: homogeneous, scale, prbvolpath",
 )
 
 
-WRONG = {
-    "a material: roughplastic-colour, eta, prb": "0.50 for 0.46, where large terms cancel",
-    "a material: normalmap-diffuse, normalmap.data, prb": "14.0 for 13.3: light jumps where normals are bent past it",
-}
-"""The cells that are known to be wrong, and by how much."""
-EACH = [
-    pytest.param(label, marks=pytest.mark.xfail(reason=WRONG[label]) if label in WRONG else (), id=label)
-    for label in CELLS
-]
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("label", EACH)
+@pytest.mark.parametrize("label", CELLS)
 def test_no_derivative_is_wrong(label: str) -> None:
     outcome = CELLS[label].measured()
     assert outcome.verdict in ("right", "refused", "noisy"), outcome

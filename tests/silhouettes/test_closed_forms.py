@@ -105,6 +105,23 @@ def test_outlines_have_their_length(name: str, creases: bool) -> None:
                 assert hits < 0.01
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_outlines_seen_from_far_away(name: str) -> None:
+    """They have the length that they have from a hundredth of the distance, and rounding doesn't destroy them."""
+    one, count = shape(name), 2001
+    fraction = Float(((np.arange(count) + 0.5) / count).astype(np.float32))
+    lengths = []
+    for distance in (300, 3e4):
+        viewpoint, length = Point3f(0.5, -0.6, 0.4) * distance, 0.0
+        for part in np.array(one.precompute_silhouette(viewpoint)[0]):
+            ss = one.sample_precomputed_silhouette(viewpoint, UInt32(part), fraction)
+            valid = lanes(ss.is_valid(), count)
+            length += (1 / lanes(ss.pdf, count)[valid]).sum() / count
+            np.testing.assert_allclose((lanes(ss.n, count) * lanes(ss.d, count)).sum(0)[valid], 0, atol=2e-4)
+        lengths.append(length)
+    assert lengths[0] > 0 and lengths[1] == pytest.approx(lengths[0], rel=0.01)
+
+
 @pytest.mark.parametrize("seams", [False, True])
 def test_a_mesh_of_a_box_has_the_outline_of_the_box(seams: bool) -> None:
     """Six edges, whether vertices of its faces are shared or not; with creases also the three that meet before."""

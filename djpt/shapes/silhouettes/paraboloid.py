@@ -56,17 +56,20 @@ class ParaboloidSilhouette(OpenRevolutionSilhouette):
 
     def drawn_along(self, viewpoint: Point3f, sample: Float) -> tuple[Point2f, Float, Bool]:
         middle, radius, found = self._circle(viewpoint)
-        # Only the arc around the axis can lie below the rim: it ends where both circles meet.
+        # Only the arc around the axis can lie below the rim: it ends where both circles meet. Seen from far away both
+        # the distance of the middle and the radius are large, and their difference is computed from 4 f z.
         distance = dr.norm(middle)
-        rim = self.shape.radius
-        cos = (dr.square(distance) + dr.square(radius) - dr.square(rim)) / (2 * distance * radius)
-        half = dr.safe_acos(cos)
-        angle = dr.atan2(-middle.y, -middle.x) + half * dr.fma(2, sample, -1)
-        s, c = dr.sincos(angle)
-        x, y = dr.fma(c, radius, middle.x), dr.fma(s, radius, middle.y)
-        uv, below = self._above(x, y, found & (cos < 1))
+        toward = dr.select(distance > 0, middle / distance, Vector3f(1, 0, 0))
+        gap = 4 * self.shape.focal_length * self.local_viewpoint(viewpoint)[1] / (distance + radius)
+        reach = (dr.square(self.shape.radius) - dr.square(gap)) / (4 * distance * radius)
+        half = 2 * dr.safe_asin(dr.sqrt(dr.clip(reach, 0, 1)))
+        angle = half * dr.fma(2, sample, -1)
+        sin = dr.sin(angle)
+        ahead, aside = dr.fma(2 * radius, dr.square(dr.sin(0.5 * angle)), gap), radius * sin
+        x, y = dr.fma(toward.x, ahead, toward.y * aside), dr.fma(toward.y, ahead, -toward.x * aside)
+        uv, below = self._above(x, y, found & (reach > 0))
         # The curve rises by z = r^2 / (4 f) as the circle is followed.
-        rise = (y * c - x * s) * dr.rcp(2 * self.shape.focal_length)
+        rise = distance * sin * dr.rcp(2 * self.shape.focal_length)
         return uv, dr.rcp(2 * half * radius * dr.sqrt(dr.fma(rise, rise, 1))), below
 
     def unit_gradient(self, p: Point3f) -> Vector3f:
