@@ -49,7 +49,7 @@ class DistortedPerspective(Perspective):
         **Perspective.values,
         **dict.fromkeys((*COEFFICIENTS, "axis_x", "axis_y", "axis_z", "start", "step"), ParamFlags.NonDifferentiable),
     }
-    lens = ("pixel_aspect", *COEFFICIENTS)
+    lens: ClassVar[tuple[str, ...]] = ("pixel_aspect", *COEFFICIENTS)
     motions = (*Perspective.motions, *lens)
 
     k1: Float

@@ -34,7 +34,8 @@ class Perspective(Central):
     the default, `y`, `diagonal`, `smaller` or `larger` of the film's sides); `near_clip` (0.01) and
     `far_clip` (10000), measured along the optical axis; `principal_point_offset_x`, `_y` (0: shift
     of the image centre, in image widths and heights). `focus_distance` is accepted, without effect. With any of the
-    entries of `djpt.sensors.distorted.DistortedPerspective`, numbers of a real lens, it is one of those.
+    entries of `djpt.sensors.distorted.DistortedPerspective`, numbers of a real lens, it is one of those; with `ior`,
+    the index of what is around it, a `djpt.sensors.immersed.ImmersedPerspective`.
 
     The field of view refers to the whole film, also if only a crop of it is rendered. A ray starts
     on the near plane and ends on the far plane.
@@ -45,7 +46,11 @@ class Perspective(Central):
     motions: ClassVar[tuple[str, ...]] = ("attached_matrix", "x_fov", *OFFSETS)
 
     def __new__(cls, props: Properties | None = None) -> Perspective:
-        """The class itself, or the one with a real lens if `props` has numbers of such; copies have no `props`."""
+        """The class itself, or one with a real lens or in a medium if `props` says so; copies have no `props`."""
+        if cls is Perspective and props is not None and "ior" in props:
+            from djpt.sensors.immersed import ImmersedPerspective
+
+            return super().__new__(ImmersedPerspective)
         if cls is Perspective and props is not None and any(name in props for name in REAL_LENS):
             from djpt.sensors.distorted import DistortedPerspective  # most cameras need none of it
 

@@ -8,9 +8,10 @@ import numpy as np
 
 import djpt
 from djpt import ScalarTransform4f as T
+from djpt.images.sheets import Tile, captioned_sheet, shown
 from places import IMAGES
 
-__all__ = ["cameras", "samplers", "tonemapping", "wide"]
+__all__ = ["cameras", "samplers", "tonemapping", "under_water", "wide"]
 
 
 def cameras() -> None:
@@ -96,3 +97,14 @@ def tonemapping() -> None:
     gap = np.ones((image.shape[0], 8, 3), np.float32)
     shown = [djpt.tonemap(image, operator, exposure=-1.0) for operator in ("srgb", "reinhard", "aces", "agx")]
     djpt.write(IMAGES / "tonemapping.png", np.concatenate([x for one in shown for x in (gap, one)][1:], axis=1))
+
+
+def under_water() -> None:
+    """The Cornell box by a camera in air, and by one in water at the same place."""
+    tiles = []
+    for title, subtitle, more in (("in air", "", {}), ("in water", "larger by 1.33 near the middle", {"ior": "water"})):
+        scene = djpt.cornell_box()
+        scene["sensor"].update(more)
+        scene["sensor"]["film"].update(width=280, height=280)
+        tiles.append(Tile(title, subtitle, shown(np.array(djpt.render(djpt.load_dict(scene), spp=512)))))
+    djpt.write(IMAGES / "under-water.png", captioned_sheet(tiles))
