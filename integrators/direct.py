@@ -35,6 +35,7 @@ class Direct(Integrator):
     in_any_frame = True
 
     needs_light = True
+    settings = ("emitter_samples", "bsdf_samples")
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)

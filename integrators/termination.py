@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
+from typing import ClassVar
 
 import drjit as dr
 
@@ -31,6 +33,8 @@ class Terminating:
     """The edges of the longest path, 1-wide: `max_depth`, or `UNBOUNDED` where that is -1."""
     roulette_from: UInt32
     """`rr_depth`, 1-wide."""
+
+    settings: ClassVar[Sequence[str]] = ("max_depth", "rr_depth")
 
     _max_depth: int
     _rr_depth: int

@@ -171,6 +171,9 @@ class Plugin(Holder):
     allowed: ClassVar[Mapping[str, Allowed]] = {}
     """The ranges of parameters that are numbers: see `check_parameter`."""
 
+    settings: ClassVar[Sequence[str]] = ()
+    """Attributes, fixed by the description, that the plugin's text shows besides its parameters, if it has them."""
+
     infers: ClassVar[bool] = False
     """True if the class declares none of these, so that they are inferred from the attributes of instances."""
 
@@ -228,10 +231,13 @@ class Plugin(Holder):
         return sorts_of(self).identity
 
     def __repr__(self) -> str:
-        """The plugin's type, with its parameters and nested plugins as a tree; a script's `to_string` if it has one."""
+        """The type, with settings, parameters and nested plugins as a tree; a script's `to_string` if it has one."""
         if hasattr(self, "to_string"):
             return str(self.to_string())
         listing = _Listing()
+        for name in self.settings:
+            if hasattr(self, name):
+                listing.put(name, getattr(self, name))
         self.traverse(listing)
         body = textwrap.indent(",\n".join(listing.lines), "  ")
         return f"{type(self).__name__}[\n{body}\n]" if body else f"{type(self).__name__}[]"

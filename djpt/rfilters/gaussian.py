@@ -43,7 +43,7 @@ class Gaussian(ReconstructionFilter):
     in the half pixel beyond, where films still evaluate it, it is at most 1.4e-5 and then 0.
     """
 
-    statics = ("stddev",)
+    statics = settings = ("stddev",)
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)

@@ -88,6 +88,7 @@ def test_a_plugin_from_properties() -> None:
     made = manager.create_object(props)
     assert made.max_depth == 4 and made.id() == "mine" and isinstance(made, djpt.Object)
     assert made.variant_name() == djpt.variant() and made.class_name() == "Path"
+    assert str(made) == "Path[\n  max_depth = 4,\n  rr_depth = 5\n]"
     props["max_dept"] = 4
     with pytest.raises(SceneError, match="unknown key 'max_dept'"):
         manager.create_object(props)
