@@ -51,7 +51,9 @@ class Allowed(NamedTuple):
         smallest = -np.inf if self.low is None else np.float32(self.low)
         largest = np.inf if self.high is None else np.float32(self.high)
         # Nearly always the extremes tell; a NaN among them doesn't.
-        if numbers.size and numbers.max() <= largest:
+        if self.low is None and self.high is None:
+            return
+        if numbers.size and (self.high is None or numbers.max() <= largest):
             least = numbers.min()
             if least > smallest or (least == smallest and not self.low_open):
                 return
