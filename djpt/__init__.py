@@ -67,7 +67,6 @@ if TYPE_CHECKING:
     from djpt.core.transforms.lanes import Transform4f as Transform4f
     from djpt.description.animation import AnimatedTransform4f as AnimatedTransform4f
     from djpt.description.loader import load_dict as load_dict
-    from djpt.description.loader import load_file as load_file
     from djpt.description.loader import load_string as load_string
     from djpt.description.parameters import SceneParameters as SceneParameters
     from djpt.description.parameters import traverse as traverse
@@ -132,6 +131,7 @@ if TYPE_CHECKING:
     from djpt.mitsuba import ad as ad
     from djpt.mitsuba import util as util
     from djpt.mitsuba import xml as xml
+    from djpt.models.formats import load_file as load_file
     from djpt.rendering.denoising.filtering import denoise as denoise
     from djpt.rendering.image import channel_names as channel_names
     from djpt.rendering.progressive.accumulation import Accumulation as Accumulation

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, cast
 
 from djpt.core.files import require_regular
 from djpt.description.files import Document
@@ -56,7 +56,7 @@ OTHER_FILES = {
         {".exr", ".hdr", ".pfm", ".npy", ".png", ".jpg", ".jpeg", ".bmp", ".tga", ".ppm", ".tif", ".tiff", ".webp"}
     ),
     "a movie": frozenset({".gif", ".mp4", ".webm", ".mov", ".avi"}),
-    "a mesh, which a scene holds as a shape,": frozenset({".obj", ".ply", ".serialized", ".stl", ".gltf", ".glb"}),
+    "a mesh, which a scene holds as a shape,": frozenset({".serialized"}),
     "a file of Blender, which Mitsuba's add-on exports as XML,": frozenset({".blend"}),
     "a checkpoint, which 'djpt merge' reads,": frozenset({".djpt"}),
 }
@@ -73,6 +73,14 @@ def described(
     `parameters` are values for the ``$name`` of a file. Raises `SceneError` for unknown names, with those that
     there are, and the errors of `djpt.load_file`.
     """
+    from djpt.models.formats import is_model, read_model
+
+    if is_model(scene):
+        path = os.fspath(cast("str | os.PathLike[str]", scene))
+        if not os.path.lexists(path):
+            raise FileError(f"can't read '{path}': there is no such file{scene_like(path)}")
+        document = read_model(path, **(parameters or {}))
+        return document.name, document
     if isinstance(scene, os.PathLike) or (isinstance(scene, str) and scene.lower().endswith(".xml")):
         # Before Dr.Jit and NumPy are imported: a misspelt name is found out at once.
         if not os.path.lexists(scene):

@@ -22,8 +22,8 @@ STORED = ("spp", "seed", "schedule", "width", "height", "rfilter", "integrator")
 """The settings that count for a reference."""
 
 EPILOG = (
-    "A and B are XML files, built-in scenes (see 'djpt scenes') or images. References, written by --store, also record "
-    "their noise. Exit code: 0 if A and B agree, 1 if they differ, 2 if the input is wrong."
+    "A and B are XML files, models, built-in scenes (see 'djpt scenes') or images. References, written by --store, "
+    "also record their noise. Exit code: 0 if A and B agree, 1 if they differ, 2 if the input is wrong."
 )
 
 

@@ -30,7 +30,7 @@ __all__ = [
 
 Decorated = TypeVar("Decorated", bound=Callable[..., object])
 
-SCENE = "SCENE is an XML file, or a built-in scene; see 'djpt scenes'."
+SCENE = "SCENE is an XML file, a model (glb, gltf, obj, stl, off, 3mf, ply), or a built-in scene; see 'djpt scenes'."
 """The end of the help of a command."""
 
 
@@ -51,7 +51,7 @@ columns = click.option("--columns", type=int, help="Pictures per row. Default: a
 rfilter = click.option("--rfilter", help="Reconstruction filter. Default: the scene's.")
 integrator = click.option("--integrator", help="Integrator. Default: the scene's.")
 define = click.option(
-    "-D", "define", metavar="NAME=VALUE", multiple=True, help="A parameter of the XML file; may be repeated."
+    "-D", "define", metavar="NAME=VALUE", multiple=True, help="A parameter of the file; may be repeated."
 )
 denoiser = click.option(
     "--denoiser", default="oidn", help="oidn (Open Image Denoise) or nlm (non-local means, no extra package)."

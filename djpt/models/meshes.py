@@ -1,0 +1,226 @@
+"""Models in OBJ (with MTL), STL, OFF, 3MF and PLY files, read by trimesh; and meshes of trimesh in memory."""
+
+from __future__ import annotations
+
+import io
+import logging
+import warnings
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from djpt.errors import FileError, SceneError
+from djpt.models.folder import Folder
+from djpt.models.model import Model, Part
+from djpt.shapes.meshes.data import MeshData, unit
+
+__all__ = ["of_arrays", "of_trimesh", "read_mesh"]
+
+UP = {".stl": "z", ".3mf": "z"}
+"""The axis that points up in formats of machine parts; elsewhere y."""
+
+
+def trimesh_module() -> Any:
+    """The module trimesh; raises `FileError` if it isn't installed."""
+    try:
+        import trimesh
+    except ImportError:
+        raise FileError("needs the package trimesh: pip install 'djpt[models]'") from None
+    logging.getLogger("trimesh").setLevel(logging.CRITICAL)
+    return trimesh
+
+
+class Resolver:
+    """The files that trimesh may ask for: those of the folder."""
+
+    def __init__(self, folder: Folder) -> None:
+        self.folder = folder
+
+    def get(self, name: Any) -> bytes:
+        """The contents of a file; a missing one is what trimesh expects to happen."""
+        try:
+            return self.folder.read(name if isinstance(name, str) else bytes(name).decode("utf-8", "replace"))
+        except FileError as error:
+            raise KeyError(str(error)) from None
+
+    __getitem__ = get
+
+    def keys(self) -> list[str]:
+        """No list: files are asked for by name."""
+        return []
+
+    def namespaced(self, namespace: str) -> Resolver:
+        """The same folder for files of an archive."""
+        return self
+
+
+def read_mesh(data: bytes, folder: Folder, name: str) -> Model:
+    """Read a file by trimesh.
+
+    Raises:
+        FileError: trimesh isn't installed.
+        SceneError: the file is damaged.
+    """
+    trimesh = trimesh_module()
+    suffix = "." + name.rpartition(".")[2].lower()
+    if suffix == ".3mf":
+        check_archive(data, name)
+    try:
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("ignore")
+            loaded = trimesh.load(
+                io.BytesIO(data), file_type=suffix[1:], resolver=Resolver(folder), process=False, maintain_order=True
+            )
+    except ModuleNotFoundError as error:
+        raise FileError(f"{name}: needs the package {error.name}: pip install 'djpt[models]'") from None
+    except MemoryError:
+        raise SceneError(f"{name}: doesn't fit into memory") from None
+    except Exception as error:  # parsers fail in many ways
+        raise SceneError(f"{name}: can't be read: {str(error)[:200] or type(error).__name__}") from None
+    try:
+        return of_trimesh(loaded, name, UP.get(suffix, "y"))
+    except (ValueError, IndexError, TypeError, KeyError, AttributeError) as error:
+        if isinstance(error, SceneError):
+            raise
+        raise SceneError(f"{name}: can't be read: {str(error)[:200] or type(error).__name__}") from None
+
+
+MOST_UNPACKED = 2**29
+"""The most bytes in an archive."""
+
+
+def check_archive(data: bytes, name: str) -> None:
+    """Raise `SceneError` for an archive that would become much larger when it is unpacked."""
+    import zipfile
+
+    try:
+        size = sum(entry.file_size for entry in zipfile.ZipFile(io.BytesIO(data)).infolist())
+    except (zipfile.BadZipFile, ValueError, NotImplementedError, OSError) as error:
+        raise SceneError(f"{name}: isn't an archive: {error}") from None
+    if size > MOST_UNPACKED:
+        raise SceneError(f"{name}: has {size} bytes when unpacked; at most {MOST_UNPACKED}")
+
+
+def of_trimesh(loaded: Any, name: str, up: str = "y") -> Model:
+    """The model of a mesh or a scene of trimesh.
+
+    Raises:
+        SceneError: it is something else, such as a cloud of points, or has no triangles.
+    """
+    trimesh = trimesh_module()
+    model = Model(name, up)
+    if isinstance(loaded, trimesh.Trimesh):
+        places = {"mesh": (loaded, [np.eye(4)])}
+    elif isinstance(loaded, trimesh.Scene):
+        places = {}
+        for node in loaded.graph.nodes_geometry:
+            matrix, key = loaded.graph[node]
+            places.setdefault(key, (loaded.geometry[key], []))[1].append(np.array(matrix, np.float64))
+    else:
+        raise SceneError(f"{name}: has no triangles, but is a {type(loaded).__name__} of trimesh")
+    for key, (mesh, matrices) in places.items():
+        if not isinstance(mesh, trimesh.Trimesh):
+            model.say(f"{type(mesh).__name__}s, which have no triangles, are left out")
+            continue
+        if len(mesh.faces):
+            model.parts.append(part_of(model, str(key)[:100], mesh, matrices))
+    return model
+
+
+def part_of(model: Model, key: str, mesh: Any, matrices: list[NDArray[np.float64]]) -> Part:
+    """The part of one mesh of trimesh."""
+    number = len(model.parts)
+    positions = np.asarray(mesh.vertices, np.float64).astype(np.float32)
+    data = MeshData(positions, np.ascontiguousarray(mesh.faces, np.uint32))
+    if "vertex_normals" in mesh._cache.cache and len(mesh.vertex_normals) == len(positions):
+        data.normals = unit(np.asarray(mesh.vertex_normals))
+    visual = mesh.visual
+    kind = getattr(visual, "kind", None)
+    node: dict[str, Any] = {"type": "principled", "base_color": grey(0.6)}
+    if kind == "texture":
+        uv = getattr(visual, "uv", None)
+        if uv is not None and len(uv) == len(positions):
+            flipped = np.nan_to_num(np.asarray(uv, np.float32)[:, :2], nan=0.0, posinf=0.0, neginf=0.0)
+            data.texcoords = np.ascontiguousarray(flipped * (1, -1) + (0, 1), np.float32)
+        node = of_material(model, visual.material, data.texcoords is not None)
+    elif kind == "vertex":
+        colors = decoded_bytes(np.asarray(visual.vertex_colors)[:, :3])
+        data.attributes["vertex_color"] = colors
+        node["base_color"] = {"type": "mesh_attribute", "name": "vertex_color"}
+    elif kind == "face":
+        colors = decoded_bytes(np.asarray(visual.face_colors)[:, :3])
+        if (colors == colors[0]).all():
+            node["base_color"] = {"type": "rgb", "value": colors[0].tolist()}
+        else:
+            data.attributes["face_color"] = colors
+            node["base_color"] = {"type": "mesh_attribute", "name": "face_color"}
+    name = f"material_{number}"
+    model.nodes[name] = node if node["type"] == "mask" else {"type": "twosided", "bsdf": node}
+    return Part(key, data, name, matrices)
+
+
+def of_material(model: Model, material: Any, has_uv: bool) -> dict[str, Any]:
+    """The BSDF of a material of trimesh: one of MTL, or a metallic-roughness one."""
+    base: Any = None
+    image = getattr(material, "image", None)
+    given = getattr(material, "kwargs", {}) or {}
+    node: dict[str, Any] = {"type": "principled"}
+    if hasattr(material, "baseColorFactor"):  # PBRMaterial
+        image = material.baseColorTexture
+        factor = material.baseColorFactor
+        base = decoded_bytes(np.asarray(factor)[:3]) if factor is not None else np.ones(3)
+        node["roughness"] = float(np.clip(1.0 if material.roughnessFactor is None else material.roughnessFactor, 0, 1))
+        node["metallic"] = float(np.clip(0.0 if material.metallicFactor is None else material.metallicFactor, 0, 1))
+    else:
+        base = np.asarray(material.diffuse, np.float64)[:3] / 255
+        shininess = float(np.clip(np.nan_to_num(getattr(material, "glossiness", None) or 1.0), 0, 1e4))
+        # The exponent of Phong's lobe as the width of a microfacet distribution: alpha^2 = 2 / (Ns + 2).
+        node["roughness"] = float(np.clip((2 / (shininess + 2)) ** 0.25, 0.05, 1))
+        unread = sorted(key for key in given if key.lower().startswith(("map_", "bump", "disp", "norm", "refl")))
+        for key in unread:
+            if key.lower() != "map_kd":
+                model.say(f"the texture '{key}' of MTL is left out")
+    if image is not None and has_uv:
+        pixels = np.array(image.convert("RGB"))
+        node["base_color"] = {"type": "bitmap", "bitmap": pixels}
+    else:
+        node["base_color"] = {"type": "rgb", "value": np.clip(base, 0, 1).tolist()}
+    opacity = 1.0
+    for key, value in given.items():
+        if key.lower() in ("d", "tr"):
+            try:
+                opacity = float(np.ravel(value)[0])
+            except (TypeError, ValueError, IndexError):
+                continue
+            opacity = 1 - opacity if key.lower() == "tr" else opacity
+    if 0 <= opacity < 1:
+        return {"type": "mask", "opacity": opacity, "bsdf": {"type": "twosided", "bsdf": node}}
+    return node
+
+
+def grey(value: float) -> dict[str, Any]:
+    """A grey."""
+    return {"type": "rgb", "value": [value] * 3}
+
+
+def decoded_bytes(colors: NDArray[Any]) -> NDArray[np.float32]:
+    """Linear colours of sRGB's bytes."""
+    from djpt.images.srgb import decoded
+
+    return np.asarray(decoded(np.asarray(colors, np.float32) / 255), np.float32)
+
+
+def of_arrays(positions: Any, faces: Any, name: str, colors: Any = None) -> Model:
+    """The model of vertices (V, 3) and triangles (F, 3); `colors` are linear, (V, 3)."""
+    from djpt.shapes.meshes.making import of_arrays as checked
+
+    data = checked(name, positions, faces)[0]
+    model = Model(name)
+    node: dict[str, Any] = {"type": "principled", "base_color": grey(0.6)}
+    if colors is not None:
+        data.attributes["vertex_color"] = np.clip(np.asarray(colors, np.float32)[:, :3], 0, 1)
+        node["base_color"] = {"type": "mesh_attribute", "name": "vertex_color"}
+    model.nodes["material"] = {"type": "twosided", "bsdf": node}
+    model.parts.append(Part(name, data, "material", [np.eye(4)]))
+    return model

@@ -1,0 +1,204 @@
+"""The stage of a model: a scene with a camera that frames it, a sky, and a soft ground."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from djpt.core.transforms import ScalarTransform4f
+from djpt.errors import SceneError
+from djpt.models.model import Camera, Matrix, Model, Part
+
+__all__ = ["staged"]
+
+AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1), "-x": (-1, 0, 0), "-y": (0, -1, 0), "-z": (0, 0, -1)}
+
+WIDTH, HEIGHT = 768, 576
+FOV = 35.0
+"""The vertical angle of view of the camera that frames a model, in degrees."""
+VIEW = (0.55, 0.4, 1.0)
+"""From the model to that camera, on the stage: right, up, to the front."""
+MARGIN = 1.08
+"""How much larger than the model the picture is."""
+GROUND = 40.0
+"""The radius of the ground over the model's."""
+MOST_COPIED = 200_000
+"""Parts that stand in several places are copied up to so many triangles in all, else instanced."""
+
+
+def staged(model: Model, *, up: str | None = None, camera: int | None = 0, stage: bool | None = None) -> dict[str, Any]:
+    """A scene that shows a model.
+
+    Args:
+        model: the model.
+        up: the axis that points up, ``x``, ``y``, ``z``, or one of these with a minus; default: the file's.
+        camera: the number of the file's camera that is used if it has any; None for one that frames the model.
+        stage: whether there is a sky and a ground; default: where the file has no lights.
+
+    Raises:
+        SceneError: there is nothing to see; no such camera or axis.
+    """
+    axis = model.up if up is None else up
+    if axis not in AXES:
+        raise SceneError(f"{model.name}: 'up' must be one of {', '.join(AXES)}, found {axis!r}")
+    turn = upright(np.array(AXES[axis], np.float64))
+    low, high = model.bounds()
+    center, radius = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low)) or 1.0
+    has_media = any(part.interior is not None for part in model.parts)
+    scene: dict[str, Any] = {
+        "type": "scene",
+        "integrator": {"type": "volpath" if has_media else "path", "max_depth": 24 if has_media else 12},
+    }
+    if camera is not None and (isinstance(camera, bool) or not isinstance(camera, int) or camera < 0):
+        raise SceneError(f"{model.name}: 'camera' must be the number of a camera, from 0, or None, found {camera!r}")
+    if camera is not None and model.cameras:
+        if camera >= len(model.cameras):
+            raise SceneError(f"{model.name}: there is no camera {camera}; the file has {len(model.cameras)}")
+        scene["sensor"] = of_camera(model.cameras[camera], center, radius)
+    elif camera:
+        raise SceneError(f"{model.name}: there is no camera {camera}; the file has none")
+    else:
+        scene["sensor"] = framing(low, high, turn)
+    scene |= model.nodes
+    for number, part in enumerate(model.parts):
+        add_part(scene, part, number)
+    scene |= model.lights
+    if stage if stage is not None else not model.lights:
+        scene |= surroundings(low, high, turn)
+    return scene
+
+
+def upright(up: Matrix) -> Matrix:
+    """The rotation from the stage, where +y is up and +z to the front, to a space with another axis up, (3, 3)."""
+    if up[1]:
+        return np.diag([1.0, up[1], up[1]])
+    if up[2]:  # as in CAD: the front looks along -y
+        return np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]]) * np.array([[1.0], [up[2]], [up[2]]])
+    return np.array([[0, up[0], 0], [-up[0], 0, 0], [0, 0, 1.0]])
+
+
+def add_part(scene: dict[str, Any], part: Part, number: int) -> None:
+    """Add the shapes of a part: one for each place, or instances of a group."""
+    node: dict[str, Any] = {"type": "ply", "data": part.mesh, "bsdf": {"type": "ref", "id": part.bsdf}}
+    if part.mesh.normals is None:
+        node["face_normals"] = True
+    if part.interior is not None:
+        node["interior"] = {"type": "ref", "id": part.interior}
+    if part.emission is not None:
+        node["emitter"] = {"type": "area", "radiance": part.emission}
+    key = f"part_{number}"
+    copied = len(part.places) * len(part.mesh.indices) <= MOST_COPIED or part.emission is not None
+    if len(part.places) == 1 or copied:
+        for i, place in enumerate(part.places):
+            scene[key if not i else f"{key}_{i}"] = {**node, "to_world": ScalarTransform4f(place)}
+        return
+    scene[f"group_{number}"] = {"type": "shapegroup", "shape": node}
+    for i, place in enumerate(part.places):
+        group = {"type": "ref", "id": f"group_{number}"}
+        scene[f"{key}_{i}"] = {"type": "instance", "group": group, "to_world": ScalarTransform4f(place)}
+
+
+# ---- cameras ---------------------------------------------------------------------------------
+
+
+def film() -> dict[str, Any]:
+    """The film of all cameras."""
+    return {"type": "hdrfilm", "width": WIDTH, "height": HEIGHT, "pixel_format": "rgb"}
+
+
+def of_camera(camera: Camera, center: Matrix, radius: float) -> dict[str, Any]:
+    """A camera of the file."""
+    matrix = np.array(camera.to_model, np.float64)
+    axes = matrix[:3, :3] / np.maximum(np.linalg.norm(matrix[:3, :3], axis=0), 1e-30)
+    if not np.isfinite(matrix).all() or abs(np.linalg.det(axes)) < 1e-6:
+        raise SceneError(f"the camera '{camera.name}' has no place: {matrix.tolist()}")
+    matrix[:3, :3] = axes * (-1.0, 1.0, -1.0)  # it looks along +z here
+    distance = float(np.linalg.norm(matrix[:3, 3] - center))
+    sensor = {
+        "near_clip": 1e-4 * radius,
+        "far_clip": 10 * (distance + GROUND * radius),
+        "film": film(),
+        "sampler": {"type": "independent", "sample_count": 64},
+    }
+    if camera.fov is not None:
+        angles = {"fov": min(max(camera.fov, 0.1), 175.0), "fov_axis": "y"}
+        return {"type": "perspective", "to_world": ScalarTransform4f(matrix), **angles, **sensor}
+    # Mitsuba's orthographic camera sees from -1 to 1 across.
+    half = 0.5 * camera.height * WIDTH / HEIGHT
+    matrix[:3, :3] = matrix[:3, :3] @ np.diag([half, half, 1.0])
+    return {"type": "orthographic", "to_world": ScalarTransform4f(matrix), **sensor}
+
+
+def framing(low: Matrix, high: Matrix, turn: Matrix) -> dict[str, Any]:
+    """A camera from the front, the right and above, as near as the whole box fits in."""
+    away = turn @ (np.array(VIEW) / np.linalg.norm(VIEW))
+    up = turn[:, 1]
+    right = np.cross(up, away)
+    right /= np.linalg.norm(right)
+    above = np.cross(away, right)
+    center = 0.5 * (low + high)
+    corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
+    corners -= center
+    slope = math.tan(math.radians(0.5 * FOV)) / MARGIN
+    radius = 0.5 * float(np.linalg.norm(high - low)) or 1.0
+    # A corner is in the picture if it is as far before the camera as it is aside, over the slope.
+    needed = [
+        np.abs(corners @ right) / (slope * WIDTH / HEIGHT) + corners @ away,
+        np.abs(corners @ above) / slope + corners @ away,
+    ]
+    distance = max(float(np.max(needed)), 1.05 * radius)
+    origin = center + distance * away
+    return {
+        "type": "perspective",
+        "to_world": ScalarTransform4f().look_at(origin.tolist(), center.tolist(), up.tolist()),
+        "fov": FOV,
+        "fov_axis": "y",
+        "near_clip": 1e-3 * radius,
+        "far_clip": 1e2 * (distance + radius),
+        "film": film(),
+        "sampler": {"type": "independent", "sample_count": 64},
+    }
+
+
+# ---- surroundings ----------------------------------------------------------------------------
+
+
+def surroundings(low: Matrix, high: Matrix, turn: Matrix) -> dict[str, Any]:
+    """A sky with soft lights in it, and a ground below the box."""
+    center, radius = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low)) or 1.0
+    up = turn[:, 1]
+    lowest = float(np.minimum(low * up, high * up).sum())
+    foot = center + (lowest - 1e-3 * radius - center @ up) * up
+    matrix, sky = np.eye(4), np.eye(4)
+    matrix[:3, :3] = GROUND * radius * np.stack([turn[:, 0], -turn[:, 2], up], axis=1)
+    matrix[:3, 3] = foot
+    sky[:3, :3] = turn
+    grey = {"type": "rgb", "value": [0.45, 0.45, 0.45]}
+    return {
+        "sky": {"type": "envmap", "bitmap": studio(), "to_world": ScalarTransform4f(sky)},
+        "ground": {
+            "type": "disk",
+            "to_world": ScalarTransform4f(matrix),
+            "bsdf": {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": grey}},
+        },
+    }
+
+
+def studio() -> NDArray[np.float32]:
+    """The radiance of the sky by direction, (32, 64, 3): brighter upwards, with a large soft light and a small one."""
+    rows, columns = 32, 64
+    theta = (np.arange(rows) + 0.5) / rows * np.pi
+    phi = (np.arange(columns) + 0.5) / columns * 2 * np.pi
+    # Mitsuba's directions of a latitude-longitude map, with +y up.
+    x = np.sin(phi)[None, :] * np.sin(theta)[:, None]
+    y = np.cos(theta)[:, None] + 0 * phi[None, :]
+    z = -np.cos(phi)[None, :] * np.sin(theta)[:, None]
+    value = 0.42 + 0.3 * np.clip(y, -0.2, 1)
+    for direction, sharpness, strength in (((-0.6, 0.7, 0.5), 14, 3.5), ((0.9, 0.35, 0.2), 24, 1.5)):
+        unit = np.array(direction) / np.linalg.norm(direction)
+        value = value + strength * np.exp(sharpness * (x * unit[0] + y * unit[1] + z * unit[2] - 1))
+    tint = np.array([0.98, 1.0, 1.03])
+    return np.asarray(value[..., None] * tint, np.float32)

@@ -1,0 +1,1 @@
+"""Descriptions, scene files, built-in scenes, parameters."""
