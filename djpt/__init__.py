@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from djpt.apps import optimization as optimization
     from djpt.apps.display import show_passes as show_passes
     from djpt.apps.optimization.loop import optimize as optimize
+    from djpt.apps.show import show as show
     from djpt.core import warp as warp
     from djpt.core.bounding_box import BoundingBox2f as BoundingBox2f
     from djpt.core.bounding_box import BoundingBox3f as BoundingBox3f
@@ -86,7 +87,6 @@ if TYPE_CHECKING:
     from djpt.description.registry import register_texture as register_texture
     from djpt.description.registry import register_volume as register_volume
     from djpt.description.xml.writer import to_xml as to_xml
-    from djpt.description.xml.writer import write_dict as write_dict
     from djpt.emitters import Emitter as Emitter
     from djpt.emitters.pointer import EmitterPtr as EmitterPtr
     from djpt.errors import AmbiguityError as AmbiguityError
@@ -132,6 +132,8 @@ if TYPE_CHECKING:
     from djpt.mitsuba import util as util
     from djpt.mitsuba import xml as xml
     from djpt.models.formats import load_file as load_file
+    from djpt.models.objects import scene_of as scene_of
+    from djpt.models.writing import write_dict as write_dict
     from djpt.rendering.denoising.filtering import denoise as denoise
     from djpt.rendering.image import channel_names as channel_names
     from djpt.rendering.progressive.accumulation import Accumulation as Accumulation

@@ -10,8 +10,6 @@ from typing import Any
 
 from djpt.core.files import as_path, require_regular
 from djpt.description.files import Document
-from djpt.description.loader import load_dict
-from djpt.description.loader import load_file as load_xml
 from djpt.errors import FileError, SceneError, near_miss
 
 __all__ = ["SUFFIXES", "is_model", "load_file", "read_model"]
@@ -144,8 +142,10 @@ def load_file(
         FileError: the file can't be read.
         SceneError: the scene is wrong, a parameter is missing or unused; the message names the file, of XML the line.
     """
+    from djpt.description import loader  # names of scenes are checked without NumPy
+
     if not is_model(path):
-        return load_xml(path, parallel, optimize, trusted=trusted, root=root, **parameters)
+        return loader.load_file(path, parallel, optimize, trusted=trusted, root=root, **parameters)
     if trusted and root is not None:
         raise SceneError("'root' confines scenes that aren't trusted; set trusted=False, too")
-    return load_dict(read_model(Path(path), root, **parameters), parallel, optimize)
+    return loader.load_dict(read_model(Path(path), root, **parameters), parallel, optimize)

@@ -26,7 +26,7 @@ def trimesh_module() -> Any:
     try:
         import trimesh
     except ImportError:
-        raise FileError("needs the package trimesh: pip install 'djpt[models]'") from None
+        raise FileError("needs the package trimesh: pip install trimesh") from None
     logging.getLogger("trimesh").setLevel(logging.CRITICAL)
     return trimesh
 
@@ -73,7 +73,7 @@ def read_mesh(data: bytes, folder: Folder, name: str) -> Model:
                 io.BytesIO(data), file_type=suffix[1:], resolver=Resolver(folder), process=False, maintain_order=True
             )
     except ModuleNotFoundError as error:
-        raise FileError(f"{name}: needs the package {error.name}: pip install 'djpt[models]'") from None
+        raise FileError(f"{name}: needs the package {error.name}, see the extra 'models'") from None
     except MemoryError:
         raise SceneError(f"{name}: doesn't fit into memory") from None
     except Exception as error:  # parsers fail in many ways
