@@ -379,10 +379,8 @@ def _read_picture(path: Path) -> Codes | Pixels:
             picture = picture.convert("L")
         elif picture.mode not in _MODES.values():
             picture = picture.convert("RGBA" if "transparency" in picture.info else "RGB")
-        width, height = picture.size
-        # NumPy's own conversion would copy the bytes once more.
-        pixels = np.frombuffer(picture.tobytes(), np.uint8).reshape(height, width, -1)
-    return pixels
+        pixels = np.asarray(picture, np.uint8)
+    return pixels[..., None] if pixels.ndim == 2 else pixels
 
 
 # ---------------------------------------------------------------- the table
