@@ -77,8 +77,9 @@ def read_model(path: str | os.PathLike[str], root: str | os.PathLike[str] | None
         raise SceneError(f"{source.name}: numbers out of range: {error}") from None
     except MemoryError:
         raise SceneError(f"{source.name}: doesn't fit into memory") from None
-    # Errors name the file; what it consists of has no lines.
-    return Document(description, source.stem, {"": f"{source}:1"})
+    # Errors name the file, whose parts have no lines.
+    nested = [f"{key}.shape" for key in description if key.startswith("group_")]
+    return Document(description, source.stem, dict.fromkeys(("", *description, *nested), f"{source}:1"))
 
 
 def converted(parameters: Mapping[str, Any], name: str) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-__all__ = ["glb", "png", "quad"]
+__all__ = ["Quad", "glb", "png", "quad"]
 
 
 class Quad:

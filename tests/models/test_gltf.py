@@ -247,3 +247,11 @@ def test_an_empty_file_has_nothing_to_see(tmp_path):
     (tmp_path / "empty.glb").write_bytes(glb({"asset": {"version": "2.0"}}, b""))
     with pytest.raises(djpt.SceneError, match="nothing to see"):
         djpt.load_file(tmp_path / "empty.glb")
+
+
+def test_errors_of_the_scene_name_the_file(tmp_path):
+    file = quad()
+    file.primitive["attributes"]["POSITION"] = file.accessor(np.zeros((4, 3), np.float32), "VEC3")
+    (tmp_path / "flat.glb").write_bytes(file.glb())
+    with pytest.raises(djpt.SceneError, match=r"flat\.glb.*part_0.*2 without area"):
+        djpt.load_file(tmp_path / "flat.glb")
