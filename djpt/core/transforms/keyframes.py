@@ -202,8 +202,8 @@ class Keyframes:
     def box(self, low: Doubles, high: Doubles) -> tuple[Doubles, Doubles]:
         """The corners of a box that holds a box of the own space at all times.
 
-        Between two moments a corner p(u), u from 0 to 1, leaves its chord by at most max |p''| / 8, and
-        |p''| <= a^2 |S x| + 2 a |S' x|, with the angle a that the rotation turns by.
+        Between two moments a corner p(u), u from 0 to 1, leaves its chord by at most the maximum of `|p''| / 8`, and
+        `|p''| <= a^2 |S x| + 2 a |S' x|`, with the angle a that the rotation turns by.
         """
         corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
         least, most = np.full(3, np.inf), np.full(3, -np.inf)
