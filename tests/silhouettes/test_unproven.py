@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -482,3 +483,22 @@ def test_curves_in_deeper_paths() -> None:
                 djpt.render(scene, integrator=how, spp=1)
         else:
             assert dr.grad_enabled(djpt.render(scene, integrator=how, spp=1))
+
+
+@pytest.mark.parametrize(("gap", "cut"), [(0.9, True), (2.5, False)])
+def test_meshes_that_cut_themselves(gap: float, cut: bool) -> None:
+    """Two balls in one mesh, that overlap or not."""
+    ball = globe()
+    points, faces = np.array(ball.vertex_positions).reshape(-1, 3), np.array(ball.faces_parameter).reshape(-1, 3)
+    both = np.concatenate([points, points + np.array([gap, 0.1, 0.2])]).astype(np.float32)
+    mesh = djpt.Mesh("balls", both, np.concatenate([faces, faces + len(points)]))
+    camera = {"type": "perspective", "to_world": T().look_at([0, 0, 9], [0, 0, 0], [0, 1, 0])}
+    scene = djpt.load_dict({"type": "scene", "balls": mesh, "sensor": camera, "sky": {"type": "constant"}})
+    params = djpt.traverse(scene)
+    key = next(key for key in params if key.endswith("vertex_positions"))
+    dr.enable_grad(params[key])
+    params.update()
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        djpt.render(scene, params, integrator=integrator("direct_projective"), spp=1)
+    assert any("cuts itself" in str(warning.message) for warning in found) == cut

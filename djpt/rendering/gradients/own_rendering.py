@@ -9,9 +9,11 @@ from typing import Any
 import drjit as dr
 
 from djpt.dispatch.ensemble import Attached
+from djpt.jit.frozen import recording
 from djpt.jit.types import TensorXf
 from djpt.rendering.gradients.derivatives import attached_image, propagated
 from djpt.rendering.gradients.leaves import Parameter, attached_parameters, motion_parameters
+from djpt.rendering.gradients.self_intersections import warn_of_self_intersections
 from djpt.rendering.gradients.unproven import moves, require_proven
 from djpt.rendering.schedules.job import image_channels
 from djpt.rendering.settings import RenderSettings
@@ -53,6 +55,8 @@ def image_by_itself(scene: Scene, params: Any, settings: RenderSettings) -> Tens
 def differentiated(scene: Scene, integrator: Any, sensor: Any) -> tuple[Scene, list[Parameter]]:
     """The scene as it is differentiated, and the parameters with gradients."""
     if moves(scene, sensor):
+        if not recording() and not integrator.unproven_gradients:
+            warn_of_self_intersections(scene)
         scene = with_copies(scene)
     parameters = [*attached_parameters(scene), *motion_parameters(scene, sensor)]
     if parameters:
