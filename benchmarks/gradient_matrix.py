@@ -24,7 +24,8 @@ extrapolation, images by `path` or `volpath`, 2048 or 8192 samples per pixel, 4 
 standard error is more than 3 % of the derivative and 0.1 % of the sum; *refused* if an error says what would be wrong
 and what to do.
 
-`python benchmarks/gradient_matrix.py` made this page with djpt {version}; `make check` measures it again.
+`python benchmarks/gradient_matrix.py` made this page with djpt {version}, its cells at different times; `make check`
+measures them again.
 
 {count} of {total} cells were measured: {counts}.
 """
