@@ -21,11 +21,11 @@ from djpt.jit.kernels import as_float, as_vector, maximum, minimum
 from djpt.jit.types import Float, Matrix4f, Point2f, Point3f, UInt32, Vector3f
 from djpt.shapes.axes import AxisPool, ProjectedRay, SignedAxis
 from djpt.shapes.base import Face, Hit, Shape
-from djpt.shapes.meshes.data import MeshData
 from djpt.shapes.meshes.queries import MeshQueries
 from djpt.shapes.mitsuba_api import ShapeType
 
 if TYPE_CHECKING:
+    from djpt.shapes.meshes.data import MeshData
     from djpt.shapes.silhouettes.base import Silhouette
 
 __all__ = ["FACES", "Cube", "face_axis"]
@@ -154,6 +154,8 @@ class Cube(MeshQueries, Shape):
 
     def data(self) -> MeshData:
         """The 12 triangles on the host, in world space."""
+        from djpt.shapes.meshes.data import MeshData  # only scripts ask for them
+
         flat = (self.vertex_positions, self.faces_parameter, self.vertex_normals, self.vertex_texcoords)
         positions, faces, normals, texcoords = map(np.array, flat)
         return MeshData(

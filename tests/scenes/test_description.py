@@ -79,6 +79,9 @@ NEED_FILES = ["obj", "ply", "serialized", "sdfgrid", "linearcurve", "bsplinecurv
 """Shapes that need a file, or as many numbers as a file has."""
 
 
+SQUARE = djpt.Mesh("square", [[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+
+
 @pytest.mark.parametrize("kind", ["bsdf", "sensor", "film", "shape", "emitter", "sampler", "rfilter", "integrator"])
 def test_any_plugin_can_be_the_root(kind: str) -> None:
     for name, factory in registry.registered(kind).items():
@@ -86,6 +89,7 @@ def test_any_plugin_can_be_the_root(kind: str) -> None:
             continue  # Other tests register plugins of their own.
         required = {
             "twosided": {"b": {"type": "diffuse"}},
+            "deforming": {"a": SQUARE, "b": SQUARE},
             "mask": {"b": {"type": "diffuse"}},
             "bumpmap": {"b": {"type": "diffuse"}, "t": {"type": "checkerboard"}},
             "normalmap": {"b": {"type": "diffuse"}, "normalmap": 0.5},

@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.jit.llvm.compiler import CompilationError, compiled
 from djpt.jit.llvm.ir import Module
 
 __all__ = ["HostFunctions", "Run", "host_functions"]
@@ -43,6 +42,8 @@ def host_functions(add: Callable[[Module], None], parameters: Mapping[str, int])
         add: The functions give integers of 64 bits; their parameters are addresses, or such integers.
         parameters: The names of the functions, and how many parameters each has.
     """
+    from djpt.jit.llvm.compiler import CompilationError, compiled  # most scenes compile nothing of this kind
+
     module = Module()
     add(module)
     try:

@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 from djpt.core.records import PreliminaryIntersection3f, Ray3f
 from djpt.errors import ParameterError, near_miss
 from djpt.jit.types import Bool, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f, backend
-from djpt.shapes.meshes.normals import face_areas
-from djpt.shapes.meshes.ply import write_ply
 
 __all__ = ["Measures", "MeshQueries", "is_closed", "is_remote", "opposite_edges"]
 
@@ -44,6 +42,8 @@ class Measures:
     @cached_property
     def face_areas(self) -> NDArray[np.float64]:
         """The areas of all triangles, (F,)."""
+        from djpt.shapes.meshes.normals import face_areas  # cubes answer as meshes and need none of it
+
         return face_areas(self._positions, self._indices)
 
     @cached_property
@@ -159,6 +159,8 @@ class MeshQueries:
         Raises:
             FileError: the file can't be written.
         """
+        from djpt.shapes.meshes.ply import write_ply  # only scripts write meshes
+
         write_ply(filename if stream is None else stream, self.data())
 
     # ---- counts --------------------------------------------------------------------------
