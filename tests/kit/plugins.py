@@ -32,7 +32,7 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
              {"to_world": SHEARED, "flip_normals": True}],
     "cylinder": [{"p0": [-1, 0.5, 2], "p1": [1, 0.2, 1.5], "radius": 0.4}, {"flip_normals": True, "p0": [0, 0, -1]}],
     "cone": [{"apex": [0.5, 0.2, 1.2], "axis": [0, 1, 1], "angle": 30}, {"flip_normals": True, "length": 2.0}],
-    "paraboloid": [{"vertex": [0.5, 0.2, 2.5], "axis": [0, 1, -1], "focal_length": 0.3},
+    "paraboloid": [{"vertex": [0.5, 0.2, 2.5], "axis": [0, 1, 1], "focal_length": 0.3},
                    {"flip_normals": True, "length": 0.5}],
     "plane": [{"to_world": T().translate([0.3, 0, 1.5]).rotate([1, 0, 0], 170)},
               {"to_world": SHEARED, "flip_normals": True}],
