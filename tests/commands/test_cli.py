@@ -251,7 +251,7 @@ def test_misspelt_commands() -> None:
         (["render", "cornell_box", "-o", "a.gif"], "can't write 'a.gif': gif is for movies, which 'djpt turntable'"),
         (["render", "a.gif"], "'a.gif' is a movie and not a scene; a scene is an XML file, such as 'scene.xml', or"),
         (["info", "a.PNG"], "'a.PNG' is a picture and not a scene; a scene is an XML file"),
-        (["view", "a.ply"], "'a.ply' is a mesh, which a scene holds as a shape, and not a scene"),
+        (["view", "a.ply"], "can't read 'a.ply': there is no such file"),
         (["turntable", "cornell_box", "-o", "a.gif"], "-o takes a folder for the frames; the movie: --movie a.gif"),
         (["compare", "cornell_box", "-o", "a.exr"], "png or a jpg"),
         (["compare", "cornell_box", "--spp", "2"], "'spp' must be an integer of at least 4"),

@@ -324,6 +324,6 @@ def test_a_million_triangles_take_three_seconds_and_300_mebibytes() -> None:
 
 def test_a_hundred_thousand_triangles_take_less_than_a_second() -> None:
     low, high = boxes(sphere(100_000))
-    start = time.perf_counter()
+    start = time.process_time()
     collapse(build(low, high))
-    assert time.perf_counter() - start < 1
+    assert time.process_time() - start < 1

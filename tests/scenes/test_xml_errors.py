@@ -204,9 +204,9 @@ def test_document_types_and_entities_are_refused(text: str) -> None:
 def test_defaults_made_of_defaults_dont_explode() -> None:
     lines = ['<default name="p0" value="laughing out loud"/>']
     lines += [f'<default name="p{i}" value="{f"$p{i - 1} " * 10}"/>' for i in range(1, 30)]
-    start = time.perf_counter()
+    start = time.process_time()
     fails(scene(*lines), f":7: <default>: 'value': longer than {LONGEST} characters after substitution")
-    assert time.perf_counter() - start < 2
+    assert time.process_time() - start < 2
 
 
 @pytest.mark.parametrize(
