@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import logging
 import warnings
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -36,12 +37,15 @@ class Resolver:
 
     def __init__(self, folder: Folder) -> None:
         self.folder = folder
+        self.missing: list[str] = []
+        """Why files can't be read."""
 
     def get(self, name: Any) -> bytes:
         """The contents of a file; a missing one is what trimesh expects to happen."""
         try:
             return self.folder.read(name if isinstance(name, str) else bytes(name).decode("utf-8", "replace"))
         except FileError as error:
+            self.missing.append(str(error))
             raise KeyError(str(error)) from None
 
     __getitem__ = get
@@ -66,12 +70,12 @@ def read_mesh(data: bytes, folder: Folder, name: str) -> Model:
     suffix = "." + name.rpartition(".")[2].lower()
     if suffix == ".3mf":
         check_archive(data, name)
+    resolver = Resolver(folder)
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
-            loaded = trimesh.load(
-                io.BytesIO(data), file_type=suffix[1:], resolver=Resolver(folder), process=False, maintain_order=True
-            )
+            # Without `maintain_order`, for which trimesh gives corners that share a position one texture coordinate.
+            loaded = trimesh.load(io.BytesIO(data), file_type=suffix[1:], resolver=resolver, process=False)
     except ModuleNotFoundError as error:
         raise FileError(f"{name}: needs the package {error.name}, see the extra 'models'") from None
     except MemoryError:
@@ -79,7 +83,10 @@ def read_mesh(data: bytes, folder: Folder, name: str) -> Model:
     except Exception as error:  # parsers fail in many ways
         raise SceneError(f"{name}: can't be read: {str(error)[:200] or type(error).__name__}") from None
     try:
-        return of_trimesh(loaded, name, UP.get(suffix, "y"))
+        model = of_trimesh(loaded, name, UP.get(suffix, "y"))
+        for reason in resolver.missing:
+            model.say(f"a material or texture is left out: {reason}")
+        return model
     except (ValueError, IndexError, TypeError, KeyError, AttributeError) as error:
         if isinstance(error, SceneError):
             raise
@@ -138,12 +145,14 @@ def part_of(model: Model, key: str, mesh: Any, matrices: list[NDArray[np.float64
     visual = mesh.visual
     kind = getattr(visual, "kind", None)
     node: dict[str, Any] = {"type": "principled", "base_color": grey(0.6)}
+    emission = None
     if kind == "texture":
         uv = getattr(visual, "uv", None)
         if uv is not None and len(uv) == len(positions):
             flipped = np.nan_to_num(np.asarray(uv, np.float32)[:, :2], nan=0.0, posinf=0.0, neginf=0.0)
             data.texcoords = np.ascontiguousarray(flipped * (1, -1) + (0, 1), np.float32)
         node = of_material(model, visual.material, data.texcoords is not None)
+        emission = emitted(visual.material)
     elif kind == "vertex":
         colors = decoded_bytes(np.asarray(visual.vertex_colors)[:, :3])
         data.attributes["vertex_color"] = colors
@@ -157,12 +166,12 @@ def part_of(model: Model, key: str, mesh: Any, matrices: list[NDArray[np.float64
             node["base_color"] = {"type": "mesh_attribute", "name": "face_color"}
     name = f"material_{number}"
     model.nodes[name] = node if node["type"] == "mask" else {"type": "twosided", "bsdf": node}
-    return Part(key, data, name, matrices)
+    return Part(key, data, name, matrices, emission)
 
 
 def of_material(model: Model, material: Any, has_uv: bool) -> dict[str, Any]:
     """The BSDF of a material of trimesh: one of MTL, or a metallic-roughness one."""
-    base: Any = None
+    base: Any = np.full(3, 0.6)
     image = getattr(material, "image", None)
     given = getattr(material, "kwargs", {}) or {}
     node: dict[str, Any] = {"type": "principled"}
@@ -172,7 +181,7 @@ def of_material(model: Model, material: Any, has_uv: bool) -> dict[str, Any]:
         base = decoded_bytes(np.asarray(factor)[:3]) if factor is not None else np.ones(3)
         node["roughness"] = float(np.clip(1.0 if material.roughnessFactor is None else material.roughnessFactor, 0, 1))
         node["metallic"] = float(np.clip(0.0 if material.metallicFactor is None else material.metallicFactor, 0, 1))
-    else:
+    elif not is_default(material):
         base = np.asarray(material.diffuse, np.float64)[:3] / 255
         shininess = float(np.clip(np.nan_to_num(getattr(material, "glossiness", None) or 1.0), 0, 1e4))
         # The exponent of Phong's lobe as the width of a microfacet distribution: alpha^2 = 2 / (Ns + 2).
@@ -181,22 +190,54 @@ def of_material(model: Model, material: Any, has_uv: bool) -> dict[str, Any]:
         for key in unread:
             if key.lower() != "map_kd":
                 model.say(f"the texture '{key}' of MTL is left out")
-    if image is not None and has_uv:
+    if image is not None and has_uv and not is_default(material):
         pixels = np.array(image.convert("RGB"))
         node["base_color"] = {"type": "bitmap", "bitmap": pixels}
     else:
         node["base_color"] = {"type": "rgb", "value": np.clip(base, 0, 1).tolist()}
-    opacity = 1.0
-    for key, value in given.items():
-        if key.lower() in ("d", "tr"):
-            try:
-                opacity = float(np.ravel(value)[0])
-            except (TypeError, ValueError, IndexError):
-                continue
-            opacity = 1 - opacity if key.lower() == "tr" else opacity
-    if 0 <= opacity < 1:
+    opacity = opacity_of(given)
+    if opacity < 1:
         return {"type": "mask", "opacity": opacity, "bsdf": {"type": "twosided", "bsdf": node}}
     return node
+
+
+def is_default(material: Any) -> bool:
+    """True for the material that trimesh makes for texture coordinates without one: four pixels of its grey."""
+    image = getattr(material, "image", None)
+    return image is not None and image.size == (2, 2) and bool((np.asarray(image.convert("RGB")) == 100).all())
+
+
+def number_of(given: Mapping[str, Any], key: str) -> float | None:
+    """The number after a keyword of MTL; None without one."""
+    try:
+        value = float(np.ravel(given[key])[0])
+    except (KeyError, TypeError, ValueError, IndexError):
+        return None
+    return value if np.isfinite(value) else None
+
+
+def opacity_of(given: Mapping[str, Any]) -> float:
+    """The opacity of a material of MTL: ``d``, or else 1 - ``Tr``.
+
+    Writers such as MeshLab give ``Tr 1`` to materials that are opaque; taken by the letter, these would be invisible.
+    """
+    dissolve, transparency = number_of(given, "d"), number_of(given, "tr")
+    if dissolve is None:
+        dissolve = 1.0 if transparency is None or transparency >= 1 else 1 - transparency
+    return float(np.clip(dissolve, 0, 1))
+
+
+def emitted(material: Any) -> dict[str, Any] | None:
+    """The radiance that a material emits: ``Ke`` of MTL, the emission of a metallic-roughness one; None for none."""
+    given = getattr(material, "kwargs", None) or {}
+    color = given.get("ke", getattr(material, "emissiveFactor", None))
+    try:
+        value = np.nan_to_num(np.asarray(color, np.float64).ravel())
+    except (TypeError, ValueError):
+        return None
+    if len(value) != 3 or not (value > 0).any():
+        return None
+    return {"type": "rgb", "value": np.clip(value, 0, 1e6).tolist()}
 
 
 def grey(value: float) -> dict[str, Any]:

@@ -1,0 +1,77 @@
+"""Models that trimesh reads: OBJ with MTL."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pytest
+
+from djpt.models.formats import read_model
+from tests.kit.gltf import png
+
+pytest.importorskip("trimesh")
+
+TWO_TRIANGLES = """mtllib a.mtl
+v 0 0 0
+v 1 0 0
+v 1 1 0
+v 0 1 0
+vt 0 0
+vt 1 0
+vt 1 1
+vt 0.5 0.5
+vn 0 0 1
+vn 0 1 0
+usemtl a
+f 1/1/1 2/2/1 3/3/1
+f 1/4/2 3/3/2 4/1/2
+"""
+
+
+def read(folder, mtl, obj=TWO_TRIANGLES):
+    (folder / "a.mtl").write_text("newmtl a\nKd 0.2 0.4 0.6\n" + mtl)
+    (folder / "a.obj").write_text(obj)
+    return read_model(folder / "a.obj")
+
+
+def material(description):
+    (name,) = (key for key in description if key.startswith("material"))
+    return description[name]
+
+
+def test_corners_keep_their_texture_coordinates_and_normals(tmp_path):
+    mesh = read(tmp_path, "")["part_0"]["data"]
+    corners = mesh.indices.ravel()
+    uv = np.float32([[0, 0], [1, 0], [1, 1], [0.5, 0.5], [1, 1], [0, 0]])
+    assert np.array_equal(mesh.texcoords[corners] * (1, -1) + (0, 1), uv)
+    assert np.array_equal(mesh.normals[corners], np.float32([[0, 0, 1]] * 3 + [[0, 1, 0]] * 3))
+
+
+@pytest.mark.parametrize(
+    ("mtl", "opacity"),
+    [("", None), ("d 1", None), ("d 0.25", 0.25), ("Tr 0.25", 0.75), ("Tr 1", None), ("Tr 1\nd 0.5", 0.5), ("d", None)],
+)
+def test_opacity(tmp_path, mtl, opacity):
+    assert material(read(tmp_path, mtl)).get("opacity") == opacity
+
+
+def test_a_texture_is_found_and_a_missing_one_is_said(tmp_path):
+    (tmp_path / "a.png").write_bytes(png([[[255, 0, 0]]]))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = material(read(tmp_path, "map_Kd .\\a.png"))
+    assert found["bsdf"]["base_color"]["bitmap"].tolist() == [[[255, 0, 0]]]
+    with pytest.warns(UserWarning, match="texture is left out: 'b.png' doesn't exist"):
+        lacking = material(read(tmp_path, "map_Kd b.png"))
+    assert np.allclose(lacking["bsdf"]["base_color"]["value"], [0.2, 0.4, 0.6], atol=1 / 255)
+
+
+def test_texture_coordinates_without_a_material_are_grey(tmp_path):
+    found = material(read(tmp_path, "", TWO_TRIANGLES.replace("mtllib a.mtl", "").replace("usemtl a", "")))
+    assert found["bsdf"]["base_color"] == {"type": "rgb", "value": [0.6] * 3}
+
+
+def test_emission(tmp_path):
+    assert read(tmp_path, "Ke 0 2 1")["part_0"]["emitter"]["radiance"]["value"] == [0, 2, 1]
+    assert "emitter" not in read(tmp_path, "Ke 0 0 0")["part_0"]
