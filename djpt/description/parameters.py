@@ -123,7 +123,7 @@ class Visit(TraversalCallback):
             return
         key = ".".join((*self.path, name))
         flags = self.inherited | (ParamFlags.NonDifferentiable if flags is None else flags)
-        if not flags.differentiable:
+        if not self.inherited.differentiable:
             flags &= ~ParamFlags.Discontinuous
         self.walk.entries[key] = Entry(self.node, name, attribute or name, flags, self.path)
 

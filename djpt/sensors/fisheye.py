@@ -60,6 +60,7 @@ class Fisheye(MappedCamera):
     statics = ("projection",)
     lens = ("x_focal", "y_focal", "principal_point_offset_x", "principal_point_offset_y", *COEFFICIENTS)
     motions = ("attached_matrix", *lens)
+    in_any_frame = True
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)

@@ -51,6 +51,7 @@ class Panorama(MappedCamera):
     statics = ("eye",)
     lens = ("azimuth_from", "azimuth_to", "elevation_from", "elevation_to")
     motions = ("attached_matrix", *lens)
+    in_any_frame = True
 
     azimuth_from: Float
     azimuth_to: Float

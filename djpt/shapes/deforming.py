@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.core.numeric import as_array
-from djpt.description.plugin import HIDDEN, ParamFlags, TraversalCallback
+from djpt.description.plugin import HIDDEN, Frame, ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_shape
 from djpt.errors import ParameterError, SceneError
@@ -119,6 +119,10 @@ class Deforming(Mesh):
         return False
 
     # ---- on the host -------------------------------------------------------------------
+
+    def move_into(self, frame: Frame) -> None:
+        self.sets = frame.point(self.sets.reshape(-1, 3)).astype(np.float32).reshape(self.sets.shape)
+        super().move_into(frame)
 
     def interval(self, direction: NDArray[np.float64]) -> tuple[float, float]:
         along = self.sets.astype(np.float64) @ direction
