@@ -30,7 +30,8 @@ def write_dict(path: str | os.PathLike[str], description: Mapping[str, Any]) -> 
     """
     target = check_target(as_path(path))
     writer = Writer(target.parent / f"{target.stem}_files")
-    write_xml(target, writer.replaced(description))
+    # What isn't a mapping is refused below, as other wrong descriptions are.
+    write_xml(target, writer.replaced(description) if isinstance(description, Mapping) else description)
 
 
 class Writer:
