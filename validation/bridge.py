@@ -73,7 +73,9 @@ def mitsuba_scene(scene: Mapping[str, Any] | None) -> Iterator[tuple[Any, Any]]:
 
 def _loaded(mi: Any, scene: Mapping[str, Any], optimize: bool) -> Any:
     try:
-        return mi.load_dict(to_mitsuba(scene), optimize=optimize)
+        # In parallel Mitsuba waits for ever where a single thread works off its tasks: a texture waits for its kernel,
+        # and meanwhile the same thread begins to read an EXR file, which waits for tasks behind it.
+        return mi.load_dict(to_mitsuba(scene), parallel=False, optimize=optimize)
     except (RuntimeError, TypeError, ValueError) as error:
         raise ComparisonError(f"Mitsuba can't load the scene: {error}") from error
 
