@@ -8,21 +8,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.core.transforms import ScalarTransform4f
 from djpt.models.gltf_file import GltfFile, numbers, scalar
+from djpt.models.gltf_textures import Pixels, Textures, decoded, encoded
 from djpt.models.model import Model, Part
 from djpt.shapes.meshes.data import MeshData
 
 __all__ = ["Materials"]
 
-WRAP = {33071: "clamp", 33648: "mirror", 10497: "repeat"}
-NEAREST = 9728
 COAT = 0.1
 """The largest alpha of the coat of `principled`."""
 SMALLEST_ETA = 1.01
 """An interface that reflects nothing would be none, for metals as well."""
-
-Pixels = NDArray[np.floating[Any]]
 
 
 class Materials:
@@ -35,12 +31,13 @@ class Materials:
     """
 
     def __init__(self, file: GltfFile, model: Model, largest: int) -> None:
-        self.file, self.model, self.largest = file, model, largest
-        self._textures: dict[Any, Any] = {}
-        """Nodes of textures by all that they depend on: textures that are alike share their pixels."""
+        self.file, self.model = file, model
+        self.textures = Textures(file, model, largest)
+        self._made: dict[Any, Any] = {}
+        """Names of nodes, and pixels of emission, by all that they depend on."""
         self._sets: dict[int | None, int] = {}
 
-    # ---- textures --------------------------------------------------------------------------
+    # ---- texture coordinates ---------------------------------------------------------------
 
     def uv_set(self, number: int | None) -> int:
         """The set of texture coordinates that a material uses; a mesh has one here."""
@@ -61,6 +58,7 @@ class Materials:
         base = self._base(material)
         gloss = self.file.extension(material, "KHR_materials_pbrSpecularGlossiness")
         found = {"baseColorTexture": base.get("baseColorTexture"), "diffuseTexture": gloss.get("diffuseTexture")}
+        found |= {"specularGlossinessTexture": gloss.get("specularGlossinessTexture")}
         found |= {"normalTexture": material.get("normalTexture")}
         found |= {"metallicRoughnessTexture": base.get("metallicRoughnessTexture")}
         found |= {"emissiveTexture": material.get("emissiveTexture")}
@@ -81,72 +79,6 @@ class Materials:
         found = moved.get("texCoord", info.get("texCoord", 0))
         return found if isinstance(found, int) and 0 <= found < 100 else 0
 
-    def _pixels(self, info: Any) -> Any:
-        """The pixels that a reference to a texture leads to, (H, W, 4); None if there are none."""
-        if not isinstance(info, dict) or "index" not in info:
-            return None
-        texture = self.file.at("textures", info["index"])
-        source = self.file.extension(texture, "EXT_texture_webp").get("source", texture.get("source"))
-        if source is None:
-            if self.file.extension(texture, "KHR_texture_basisu"):
-                raise self.file.error("textures of the form 'KHR_texture_basisu' (KTX 2) can't be read")
-            self.model.say("textures without an image are left out")
-            return None
-        pixels, smaller = self.file.image(source, self.largest)
-        if smaller:
-            self.model.say(f"textures are made smaller, to {self.largest} pixels: see 'texture_size'")
-        return pixels
-
-    def _texture(self, info: Any, pixels: NDArray[Any], key: Any, raw: bool) -> dict[str, Any]:
-        """The node of a texture of these pixels, bytes or linear numbers, at the place that `info` says."""
-        texture = self.file.at("textures", info["index"])
-        sampler = self.file.at("samplers", texture["sampler"]) if "sampler" in texture else {}
-        wraps = [WRAP.get(sampler.get(name, 10497), "repeat") for name in ("wrapS", "wrapT")]
-        if wraps[0] != wraps[1]:
-            self.model.say(f"textures wrap alike along u and v: '{wraps[0]}'")
-        node: dict[str, Any] = {"type": "bitmap", "wrap_mode": wraps[0]}
-        # Equal pixels are one array, which equal nodes of a scene share.
-        node |= {"bitmap" if pixels.dtype == np.uint8 else "data": self._textures.setdefault(key, pixels)}
-        node["raw"] = raw or pixels.dtype != np.uint8
-        if sampler.get("magFilter") == NEAREST:
-            node["filter_type"] = "nearest"
-        moved = self.file.extension(info, "KHR_texture_transform")
-        if moved:
-            offset, scale = numbers(moved.get("offset"), (0, 0)), numbers(moved.get("scale"), (1, 1))
-            angle = scalar(moved.get("rotation"), 0.0)
-            c, s = math.cos(angle), math.sin(angle)
-            matrix = np.eye(4)
-            matrix[:2, :2] = np.array([[c, s], [-s, c]]) * np.where(scale == 0, 1e-6, scale)
-            matrix[:2, 3] = offset
-            node["to_uv"] = ScalarTransform4f(matrix)
-        return node
-
-    def _channel(self, info: Any, channel: int, factor: float, what: str) -> Any:
-        """A scalar texture from one channel of a texture, times a factor; a number without a texture."""
-        pixels = self._pixels(info)
-        if pixels is None:
-            return float(np.clip(factor, 0, 1))
-        values = pixels[..., channel : channel + 1]
-        if values.min() == values.max():
-            return float(np.clip(factor * (values.flat[0] / 255), 0, 1))
-        if factor != 1:
-            values = np.clip(np.rint(values * np.clip(factor, 0, 1)), 0, 255).astype(np.uint8)
-        key = (what, info["index"], channel, factor)
-        return self._texture(info, np.ascontiguousarray(values), key, raw=True)
-
-    def _color(self, info: Any, factor: NDArray[np.float64]) -> Any:
-        """A colour texture times a linear factor, in [0, 1]."""
-        pixels = self._pixels(info)
-        if pixels is None:
-            return {"type": "rgb", "value": np.clip(factor, 0, 1).tolist()}
-        key = ("color", info["index"], tuple(factor))
-        if (factor == 1).all():
-            return self._texture(info, np.ascontiguousarray(pixels[..., :3]), key, raw=False)
-        # A table of 256 colours for each channel: most exact, and fast.
-        table = np.clip(encoded(decoded(np.arange(256)[:, None] / 255) * factor) * 255 + 0.5, 0, 255).astype(np.uint8)
-        values = np.stack([table[pixels[..., i], i] for i in range(3)], axis=-1)
-        return self._texture(info, values, key, raw=False)
-
     # ---- parts -----------------------------------------------------------------------------
 
     def parts(self, number: int | None, mesh: MeshData, colors: NDArray[np.float32] | None, where: str) -> list[Part]:
@@ -157,7 +89,7 @@ class Materials:
             if (colors == colors[0]).all():
                 tint, opacity = colors[0, :3].astype(np.float64), float(colors[0, 3])
                 colors = None
-            elif self._pixels(self._base(material).get("baseColorTexture")) is not None:
+            elif self.textures.pixels(self._base(material).get("baseColorTexture")) is not None:
                 self.model.say("vertex colours on a texture are replaced by their mean")
                 tint, opacity = colors[:, :3].mean(axis=0), float(colors[:, 3].mean())
                 colors = None
@@ -182,14 +114,14 @@ class Materials:
 
     def _named(self, name: str, key: Any, make: Any) -> str:
         """The name of a node that is made once for each key."""
-        if key not in self._textures:
+        if key not in self._made:
             free, count = name, 1
             while free in self.model.nodes:
                 count += 1
                 free = f"{name}_{count}"
             self.model.nodes[free] = make()
-            self._textures[key] = free
-        found: str = self._textures[key]
+            self._made[key] = free
+        found: str = self._made[key]
         return found
 
     def _halves(self, material: dict[str, Any], mesh: MeshData) -> list[tuple[MeshData, bool]]:
@@ -217,11 +149,11 @@ class Materials:
         """The BSDF of a material."""
         node, transmits = self._lobes(material, colored, tint)
         normal: Any = material.get("normalTexture")
-        pixels = self._pixels(normal)
+        pixels = self.textures.pixels(normal)
         if pixels is not None:
             strength = scalar(normal.get("scale"), 1.0)
             key = ("normal", normal["index"], strength, mirrored)
-            texture = self._texture(normal, normals_of(pixels, strength, mirrored), key, raw=True)
+            texture = self.textures.node(normal, normals_of(pixels, strength, mirrored), key, raw=True)
             node = {"type": "normalmap", "normalmap": texture, "bsdf": node}
         if not transmits:
             node = {"type": "twosided", "bsdf": node}
@@ -241,17 +173,17 @@ class Materials:
         if gloss:
             info, factor = gloss.get("diffuseTexture"), float(numbers(gloss.get("diffuseFactor"), (1, 1, 1, 1))[3])
         cutoff = scalar(material.get("alphaCutoff"), 0.5)
-        pixels = self._pixels(info)
+        pixels = self.textures.pixels(info)
         if pixels is None:
             if alpha and mode == "BLEND":
                 return {"type": "mesh_attribute", "name": "vertex_opacity"}
             return float(np.clip(factor, 0, 1)) if mode == "BLEND" else float(factor >= cutoff)
         if mode == "BLEND":
-            return self._channel(info, 3, factor, "opacity")
+            return self.textures.channel(info, 3, factor, "opacity")
         values = np.where(pixels[..., 3:] * (factor / 255) >= cutoff, 255, 0).astype(np.uint8)
         if values.min() == values.max():
             return float(values.flat[0] / 255)
-        return self._texture(info, values, ("mask", info["index"], cutoff, factor), raw=True)
+        return self.textures.node(info, values, ("mask", info["index"], cutoff, factor), raw=True)
 
     def _lobes(self, material: dict[str, Any], colored: bool, tint: Any) -> tuple[dict[str, Any], bool]:
         """The principled BSDF, and whether it lets light through."""
@@ -269,9 +201,9 @@ class Materials:
         rough = base.get("metallicRoughnessTexture")
         node: dict[str, Any] = {
             "type": "principled",
-            "base_color": self._color(base.get("baseColorTexture"), factor),
-            "roughness": self._channel(rough, 1, scalar(base.get("roughnessFactor"), 1.0), "rough"),
-            "metallic": self._channel(rough, 2, scalar(base.get("metallicFactor"), 1.0), "metal"),
+            "base_color": self.textures.color(base.get("baseColorTexture"), factor),
+            "roughness": self.textures.channel(rough, 1, scalar(base.get("roughnessFactor"), 1.0), "rough"),
+            "metallic": self.textures.channel(rough, 2, scalar(base.get("metallicFactor"), 1.0), "metal"),
         }
         if colored:
             node["base_color"] = {"type": "mesh_attribute", "name": "vertex_color"}
@@ -280,15 +212,12 @@ class Materials:
         node["eta"] = self._eta(extension("ior"), extension("specular"), transmits)
         strength = scalar(clearcoat.get("clearcoatFactor"), 0.0)
         if strength > 0:
-            node["clearcoat"] = self._channel(clearcoat.get("clearcoatTexture"), 0, strength, "coat")
-            rough_coat = scalar(clearcoat.get("clearcoatRoughnessFactor"), 0.0)
-            if self._pixels(clearcoat.get("clearcoatRoughnessTexture")) is not None:
-                self.model.say("the texture of a clear coat's roughness is replaced by its factor")
-            if rough_coat**2 > COAT:
+            node["clearcoat"] = self.textures.channel(clearcoat.get("clearcoatTexture"), 0, strength, "coat")
+            if scalar(clearcoat.get("clearcoatRoughnessFactor"), 0.0) ** 2 > COAT:
                 self.model.say("clear coats are smoother: their roughness is at most 0.32")
             if clearcoat.get("clearcoatNormalTexture"):
                 self.model.say("a clear coat has the normals of what it covers")
-            node["clearcoat_gloss"] = float(np.clip((COAT - rough_coat**2) / (COAT - 0.001), 0, 1))
+            node["clearcoat_gloss"] = self._coat_gloss(clearcoat)
         color = np.clip(numbers(sheen.get("sheenColorFactor"), (0, 0, 0)), 0, 1)
         if color.any():
             if color.min() < color.max() or sheen.get("sheenColorTexture"):
@@ -304,10 +233,23 @@ class Materials:
             node = self._transparent(node, material, transmission)
         return {key: value for key, value in node.items() if key in KEEP or value != 0.0}, transmits
 
+    def _coat_gloss(self, clearcoat: dict[str, Any]) -> Any:
+        """The gloss of a clear coat, of which `principled` makes alpha = 0.1 + gloss (0.001 - 0.1)."""
+        factor = float(np.clip(scalar(clearcoat.get("clearcoatRoughnessFactor"), 0.0), 0, 1))
+        info: Any = clearcoat.get("clearcoatRoughnessTexture")
+        pixels = self.textures.pixels(info)
+        rough = np.array([[[factor]]]) if pixels is None else pixels[..., 1:2] * (factor / 255)
+        gloss = np.clip((COAT - rough**2) / (COAT - 0.001), 0, 1)
+        if gloss.min() == gloss.max():
+            return float(gloss.flat[0])
+        return self.textures.node(
+            info, np.rint(255 * gloss).astype(np.uint8), ("gloss", info["index"], factor), raw=True
+        )
+
     def _transparent(self, node: dict[str, Any], material: dict[str, Any], transmission: Any) -> dict[str, Any]:
         """The same surface, letting light through: a body that has a volume, or a thin sheet."""
         factor = scalar(transmission.get("transmissionFactor"), 0.0)
-        node["spec_trans"] = self._channel(transmission.get("transmissionTexture"), 0, factor, "transmission")
+        node["spec_trans"] = self.textures.channel(transmission.get("transmissionTexture"), 0, factor, "transmission")
         thick = scalar(self.file.extension(material, "KHR_materials_volume").get("thicknessFactor"), 0.0) > 0
         if thick or node["metallic"] != 0.0:
             return node
@@ -345,22 +287,31 @@ class Materials:
         return max((1 + root) / (1 - root), SMALLEST_ETA)
 
     def _glossy(self, gloss: dict[str, Any], tint: Any) -> dict[str, Any]:
-        """The material of KHR_materials_pbrSpecularGlossiness, with the mean of its specular colour."""
-        diffuse = numbers(gloss.get("diffuseFactor"), (1, 1, 1, 1))[:3] * tint
+        """The material of KHR_materials_pbrSpecularGlossiness, as a metallic-roughness one texel by texel."""
+        factor = numbers(gloss.get("diffuseFactor"), (1, 1, 1, 1))[:3] * tint
         specular = np.clip(numbers(gloss.get("specularFactor"), (1, 1, 1)), 0, 1)
         glossiness = float(np.clip(scalar(gloss.get("glossinessFactor"), 1.0), 0, 1))
-        pixels = self._pixels(gloss.get("specularGlossinessTexture"))
-        if pixels is not None:
-            self.model.say("the texture of specular colours and glossiness is replaced by its mean")
-            specular = specular * decoded(pixels[..., :3].mean(axis=(0, 1)) / 255)
-            glossiness *= float(pixels[..., 3].mean()) / 255
-        root = math.sqrt(min(float(specular.mean()), 0.9))
-        return {
-            "type": "principled",
-            "base_color": self._color(gloss.get("diffuseTexture"), diffuse),
-            "roughness": 1 - glossiness,
-            "eta": max((1 + root) / (1 - root), SMALLEST_ETA),
-        }
+        infos: list[Any] = [gloss.get("diffuseTexture"), gloss.get("specularGlossinessTexture")]
+        first, second = (self.textures.pixels(info) for info in infos)
+        if second is None:  # then only the diffuse colour varies
+            base, metallic = metallic_of(factor[None], specular[None])
+            color = self.textures.color(infos[0], base[0] if first is None or metallic[0, 0] > 0.5 else factor)
+            node = {"type": "principled", "base_color": color, "metallic": float(metallic[0, 0])}
+            return node | {"roughness": 1 - glossiness}
+        if first is None:
+            first = np.full((1, 1, 4), 255, np.uint8)
+        height, width = (max(first.shape[axis], second.shape[axis]) for axis in (0, 1))
+        first, second = stretched(first, height, width), stretched(second, height, width)
+        base, metallic = metallic_of(decoded(first[..., :3] / 255) * factor, decoded(second[..., :3] / 255) * specular)
+        rough = 1 - glossiness * second[..., 3:] / 255
+        info = infos[0] if isinstance(infos[0], dict) else infos[1]
+        key = ("gloss", *(i.get("index") if isinstance(i, dict) else None for i in infos), *factor, *specular)
+        images = {"base_color": encoded(base), "metallic": metallic, "roughness": rough}
+        node = {"type": "principled"}
+        for name, values in images.items():
+            texels = np.rint(255 * np.clip(values, 0, 1)).astype(np.uint8)
+            node[name] = self.textures.node(info, texels, (*key, glossiness, name), raw=name != "base_color")
+        return node
 
     # ---- light and matter ------------------------------------------------------------------
 
@@ -369,7 +320,9 @@ class Materials:
         if self.file.has_extension(material, "KHR_materials_unlit"):
             self.model.say("unlit materials shine by themselves, with their colour")
             base = self._base(material)
-            found = self._color(base.get("baseColorTexture"), numbers(base.get("baseColorFactor"), (1, 1, 1, 1))[:3])
+            found = self.textures.color(
+                base.get("baseColorTexture"), numbers(base.get("baseColorFactor"), (1, 1, 1, 1))[:3]
+            )
             return dict(found)
         factor = np.clip(numbers(material.get("emissiveFactor"), (0, 0, 0)), 0, 1e6)
         strength = self.file.extension(material, "KHR_materials_emissive_strength")
@@ -377,16 +330,16 @@ class Materials:
         if not factor.any():
             return None
         info: Any = material.get("emissiveTexture")
-        pixels = self._pixels(info)
+        pixels = self.textures.pixels(info)
         if pixels is None:
             return {"type": "rgb", "value": factor.tolist()}
         if not pixels[..., :3].any():
             return None
         key = ("emission", info["index"], tuple(factor))
-        if key not in self._textures:
+        if key not in self._made:
             table = (decoded(np.arange(256)[:, None] / 255) * factor).astype(np.float32)
-            self._textures[key] = np.stack([table[pixels[..., i], i] for i in range(3)], axis=-1)
-        return self._texture(info, self._textures[key], key, raw=True)
+            self._made[key] = np.stack([table[pixels[..., i], i] for i in range(3)], axis=-1)
+        return self.textures.node(info, self._made[key], key, raw=True)
 
     def _interior(self, material: dict[str, Any], number: int | None) -> str | None:
         """The name of the medium in a body that absorbs; None without one."""
@@ -398,6 +351,8 @@ class Materials:
         if not thick or not 0 < distance < math.inf or (color == 1).all():
             return None
         sigma = np.minimum(-np.log(color) / distance, 1e6)
+        # Free paths of a colour that isn't absorbed at all would be infinite, and their transmittance undefined.
+        sigma = np.maximum(sigma, 1e-6 * sigma.max())
 
         def medium() -> dict[str, Any]:
             return {"type": "homogeneous", "albedo": 0.0, "sigma_t": {"type": "rgb", "value": sigma.tolist()}}
@@ -409,15 +364,33 @@ KEEP = ("type", "base_color", "roughness", "eta")
 """Entries that stay whatever their value."""
 
 
-def decoded(values: Pixels) -> Pixels:
-    """Linear values of sRGB's, in [0, 1]."""
-    return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
+DIELECTRIC = 0.04
+"""The reflectance of a dielectric of glTF at normal incidence."""
 
 
-def encoded(values: Pixels) -> Pixels:
-    """sRGB's values of linear ones, in [0, 1]."""
-    values = np.clip(values, 0, 1)
-    return np.where(values <= 0.0031308, values * 12.92, 1.055 * values ** (1 / 2.4) - 0.055)
+def metallic_of(diffuse: Pixels, specular: Pixels) -> tuple[Pixels, Pixels]:
+    """The base colour (.., 3) and the metalness (.., 1) of diffuse and specular colours, linear, (.., 3).
+
+    With the metalness m, the base colour b and the reflectance r = 0.04 of dielectrics, diffuse = (1 - m) (1 - r) b /
+    (1 - max(specular)), specular = (1 - m) r + m b; solved for m with luminances, as the registry of glTF proposes for
+    KHR_materials_pbrSpecularGlossiness.
+    """
+    weights = np.sqrt([0.299, 0.587, 0.114])
+    d, s = (np.linalg.norm(x * weights, axis=-1, keepdims=True) for x in (diffuse, specular))
+    rest = 1 - specular.max(axis=-1, keepdims=True)
+    b = d * rest / (1 - DIELECTRIC) + s - 2 * DIELECTRIC
+    root = np.sqrt(np.maximum(b * b - 4 * DIELECTRIC * (DIELECTRIC - s), 0))
+    metallic = np.where(s < DIELECTRIC, 0.0, np.clip((root - b) / (2 * DIELECTRIC), 0, 1))
+    of_diffuse = diffuse * rest / ((1 - DIELECTRIC) * np.maximum(1 - metallic, 1e-4))
+    of_specular = (specular - DIELECTRIC * (1 - metallic)) / np.maximum(metallic, 1e-4)
+    share = metallic**2
+    return np.clip((1 - share) * of_diffuse + share * of_specular, 0, 1), metallic
+
+
+def stretched(pixels: NDArray[np.uint8], height: int, width: int) -> NDArray[np.uint8]:
+    """Pixels as an image of another size, each texel kept."""
+    rows, columns = np.arange(height) * pixels.shape[0] // height, np.arange(width) * pixels.shape[1] // width
+    return pixels[rows[:, None], columns]
 
 
 def normals_of(pixels: NDArray[np.uint8], strength: float, mirrored: bool) -> NDArray[np.uint8]:

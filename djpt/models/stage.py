@@ -36,7 +36,8 @@ def staged(model: Model, *, up: str | None = None, camera: int | None = 0, stage
         model: the model.
         up: the axis that points up, ``x``, ``y``, ``z``, or one of these with a minus; default: the file's.
         camera: the number of the file's camera that is used if it has any; None for one that frames the model.
-        stage: whether there is a sky and a ground; default: where the file has no lights.
+        stage: whether there is a sky and a ground; default: where the file has no lights, or only distant ones, by
+            which metal would be black.
 
     Raises:
         SceneError: there is nothing to see; no such camera or axis.
@@ -66,7 +67,8 @@ def staged(model: Model, *, up: str | None = None, camera: int | None = 0, stage
     for number, part in enumerate(model.parts):
         add_part(scene, part, number)
     scene |= model.lights
-    if stage if stage is not None else not model.lights:
+    near = any(light["type"] != "directional" for light in model.lights.values())
+    if stage if stage is not None else not near:
         scene |= surroundings(low, high, turn)
     return scene
 

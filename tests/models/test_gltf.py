@@ -6,6 +6,7 @@ import json
 import math
 import warnings
 
+import drjit as dr
 import numpy as np
 import pytest
 
@@ -255,3 +256,74 @@ def test_errors_of_the_scene_name_the_file(tmp_path):
     (tmp_path / "flat.glb").write_bytes(file.glb())
     with pytest.raises(djpt.SceneError, match=r"flat\.glb.*part_0.*2 without area"):
         djpt.load_file(tmp_path / "flat.glb")
+
+
+@pytest.mark.parametrize("u", ["clamp", "mirror", "repeat"])
+@pytest.mark.parametrize("v", ["clamp", "mirror", "repeat"])
+def test_textures_wrap_by_themselves_along_u_and_v(tmp_path, u, v):
+    codes = {"clamp": 33071, "mirror": 33648, "repeat": 10497}
+    file = quad()
+    pixels = np.random.default_rng(2).integers(0, 256, (3, 2, 3))
+    info = file.texture(pixels, wrapS=codes[u], wrapT=codes[v], magFilter=9728)
+    file.material["pbrMetallicRoughness"] = {"baseColorTexture": info}
+    node = bsdf(read(file, tmp_path))["base_color"]
+    texture = djpt.load_dict({**node, "raw": True})
+    # Texel centres of the nine periods around [0, 1]^2.
+    x, y = np.meshgrid(np.arange(-2, 4), np.arange(-3, 6))
+    si = dr.zeros(djpt.SurfaceInteraction3f, x.size)
+    si.uv = djpt.Point2f(((x.ravel() + 0.5) / 2).astype(np.float32), ((y.ravel() + 0.5) / 3).astype(np.float32))
+    found = np.array(texture.eval(si)).T if node["type"] == "bitmap" else None
+
+    def wrapped(index, count, mode):
+        if mode == "clamp":
+            return np.clip(index, 0, count - 1)
+        period = index % (2 * count)
+        return np.where(period < count, period, 2 * count - 1 - period) if mode == "mirror" else index % count
+
+    expected = pixels[wrapped(y.ravel(), 3, v), wrapped(x.ravel(), 2, u)] / 255
+    assert np.allclose(found, expected, atol=1e-5)
+
+
+def test_specular_glossiness_becomes_metallic_roughness_texel_by_texel(tmp_path):
+    file = quad()
+    # A red dielectric, and gold.
+    diffuse = file.texture(np.uint8([[[200, 0, 0], [0, 0, 0]]]))
+    specular = file.texture(np.uint8([[[56, 56, 56, 51], [255, 200, 90, 204]]]))
+    gloss = {"diffuseTexture": diffuse, "specularGlossinessTexture": specular}
+    file.material["extensions"] = {"KHR_materials_pbrSpecularGlossiness": gloss}
+    node = bsdf(read(file, tmp_path))
+    texels = {name: node[name]["bitmap"][0] for name in ("base_color", "metallic", "roughness")}
+    assert np.allclose(texels["base_color"], [[200, 0, 0], [255, 200, 90]], atol=3)
+    assert np.allclose(texels["metallic"][:, 0], [0, 255], atol=3)
+    assert texels["roughness"][:, 0].tolist() == [204, 51]
+
+
+def test_a_clear_coat_is_as_rough_as_its_texture(tmp_path):
+    file = quad()
+    rough = np.zeros((1, 2, 3), np.uint8)
+    rough[0, 1, 1] = 255
+    coat = {"clearcoatFactor": 1, "clearcoatRoughnessFactor": 0.2, "clearcoatRoughnessTexture": file.texture(rough)}
+    file.material["extensions"] = {"KHR_materials_clearcoat": coat}
+    gloss = bsdf(read(file, tmp_path))["clearcoat_gloss"]["bitmap"].ravel() / 255
+    assert 0.1 + gloss[0] * (0.001 - 0.1) == pytest.approx(0.001, abs=1e-3)
+    assert 0.1 + gloss[1] * (0.001 - 0.1) == pytest.approx(0.2**2, abs=1e-3)
+
+
+def test_a_body_that_absorbs_one_colour_not_at_all_is_finite(tmp_path):
+    file = quad()
+    volume = {"thicknessFactor": 1, "attenuationColor": [0.1, 0.5, 1], "attenuationDistance": 0.1}
+    transmission = {"transmissionFactor": 1}
+    file.material["extensions"] = {"KHR_materials_volume": volume, "KHR_materials_transmission": transmission}
+    (tmp_path / "quad.glb").write_bytes(file.glb())
+    scene = read_model(tmp_path / "quad.glb")
+    scene["sensor"]["film"] |= {"width": 8, "height": 6}
+    assert np.isfinite(np.array(djpt.render(djpt.load_dict(scene), spp=8))).all()
+
+
+@pytest.mark.parametrize(("kind", "staged"), [("directional", True), ("point", False)])
+def test_distant_lights_alone_leave_the_sky(tmp_path, kind, staged):
+    file = quad()
+    file.json["extensions"] = {"KHR_lights_punctual": {"lights": [{"type": kind}]}}
+    file.node["extensions"] = {"KHR_lights_punctual": {"light": 0}}
+    (tmp_path / "quad.glb").write_bytes(file.glb())
+    assert ("sky" in read_model(tmp_path / "quad.glb")) == staged
