@@ -298,7 +298,8 @@ def test_an_area_light_and_its_shape(mi: Any) -> None:
         same(ds.dist, 2)
         same(ds.d, [[0], [0], [-1]])
         same(ds.emitter == light, True)
-        assert numbers(m.PositionSample3f(si).p) == [0, 0, 0]
+        # Mitsuba's is rounded by the processor's approximate reciprocals.
+        np.testing.assert_allclose(numbers(m.PositionSample3f(si).p), 0, atol=1e-6)
 
 
 def test_samples_of_hits_by_keywords() -> None:
