@@ -134,6 +134,7 @@ if TYPE_CHECKING:
     from djpt.models.formats import load_file as load_file
     from djpt.models.objects import scene_of as scene_of
     from djpt.models.writing import write_dict as write_dict
+    from djpt.photographs.formats import load_cameras as load_cameras
     from djpt.rendering.denoising.filtering import denoise as denoise
     from djpt.rendering.image import channel_names as channel_names
     from djpt.rendering.progressive.accumulation import Accumulation as Accumulation

@@ -72,7 +72,8 @@ def files(draw: st.DrawFn) -> Case:
     """A damaged file, read."""
     name = draw(st.sampled_from(sorted(READERS)))
     reader = draw(st.sampled_from(READERS[name]))
-    return Case(reader, {name: draw(damaged(seed_files()[name]))}, (name, "scene", "'filename'", "ellipsoids."))
+    contents = {**used_files(reader), name: draw(damaged(seed_files()[name]))}
+    return Case(reader, contents, (name, "scene", "'filename'", "ellipsoids."))
 
 
 @st.composite

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import json
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import djpt
 from djpt.description.tensor_files import write_tensors
 from tests.kit.gltf import Quad, quad
 from tests.kit.meshes import bumpy_sheet, properties, write_binary_ply, write_obj, write_ply, write_serialized
+from tests.kit.photographs import bundle, calibration, colmap_binary, colmap_text, transforms
 
 __all__ = ["READERS", "seed_files"]
 
@@ -33,6 +35,15 @@ def loaded(kind: str, name: str, **entries: Any) -> str:
     return f"djpt.load_dict({ {'type': kind, 'filename': name, **entries}!r})"
 
 
+def cameras(*names: str) -> str:
+    """Read the cameras of photographs, and make the sensors."""
+    return (
+        f"for name in {names!r}:\n"
+        "    cameras = djpt.load_cameras(name, size=(8, 6) if name == 'bundle.out' else None)\n"
+        "    djpt.load_dict({'type': 'scene', **cameras.sensors()})"
+    )
+
+
 READERS: dict[str, tuple[str, ...]] = {
     "a.obj": (mesh("obj", "a.obj"),),
     "text.ply": (mesh("ply", "text.ply"), loaded("ellipsoids", "text.ply")),
@@ -46,6 +57,9 @@ READERS: dict[str, tuple[str, ...]] = {
     "a.spd": (loaded("spectrum", "a.spd"), "djpt.spectrum_from_file('a.spd')"),
     "m.glb": ("djpt.load_file('m.glb', trusted=False)", "djpt.load_file('m.glb', time=0.5)"),
     "m.gltf": ("djpt.load_file('m.gltf', trusted=False)", "djpt.load_file('m.gltf', time=0.5)"),
+    **dict.fromkeys(("cameras.txt", "images.txt"), (cameras("cameras.txt", "images.txt"),)),
+    **dict.fromkeys(("cameras.bin", "images.bin"), (cameras("cameras.bin", "images.bin"),)),
+    **{name: (cameras(name),) for name in ("transforms.json", "bundle.out", "camera.yml")},
     "a.xml": ("djpt.load_file('a.xml')", "djpt.load_file('a.xml', trusted=False)"),
     **{
         f"a.{suffix}": (
@@ -114,6 +128,10 @@ def make(folder: Path) -> None:
     )
     (folder / "a.spd").write_text("# wavelength, value\n400 0.5\n500 1.5\n700 0.25\n")
     (folder / "a.xml").write_text(SCENE)
+    for name, content in {**colmap_text(), **colmap_binary(), "bundle.out": bundle()}.items():
+        (folder / name).write_bytes(content)
+    (folder / "transforms.json").write_text(json.dumps(transforms(k1=-0.1)))
+    (folder / "camera.yml").write_text(calibration())
     file = model()
     (folder / "m.glb").write_bytes(file.glb())
     (folder / "m.gltf").write_bytes(file.gltf())
