@@ -148,6 +148,8 @@ if TYPE_CHECKING:
     from djpt.shapes.base import Shape as Shape
     from djpt.shapes.mitsuba_api import ShapeType as ShapeType
     from djpt.shapes.pointer import ShapePtr as ShapePtr
+    from djpt.validation.nonfinite import NonFinite as NonFinite
+    from djpt.validation.nonfinite import find_nan as find_nan
 
 
 _SUBMODULES = _MODULES_FOR_SCRIPTS
