@@ -24,6 +24,9 @@ from djpt.jit.llvm.lanes import force_lanes
 
 __all__ = ["Row", "first_image", "in_pairs", "report"]
 
+# For the processes that benchmarks start: as in an installed package, modules are compiled once and not by each.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+
 FIRST_IMAGE = Path(__file__).with_name("first_image.py")
 
 
