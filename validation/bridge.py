@@ -6,7 +6,9 @@ Only this module imports Mitsuba, and only when it is used: rendering never need
 from __future__ import annotations
 
 import contextlib
+import tempfile
 from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
 import drjit as dr
@@ -18,6 +20,7 @@ from djpt.core.transforms import ScalarTransform3f, as_transform
 from djpt.description.plugin import Plugin
 from djpt.errors import BackendError, SceneError
 from djpt.jit.backends import load_backend, variant
+from djpt.models.writing import in_files
 from djpt.scenes.overrides import described
 from djpt.validation.metrics import ComparisonError
 
@@ -75,7 +78,8 @@ def _loaded(mi: Any, scene: Mapping[str, Any], optimize: bool) -> Any:
     try:
         # In parallel Mitsuba waits for ever where a single thread works off its tasks: a texture waits for its kernel,
         # and meanwhile the same thread begins to read an EXR file, which waits for tasks behind it.
-        return mi.load_dict(to_mitsuba(scene), parallel=False, optimize=optimize)
+        with tempfile.TemporaryDirectory(prefix="djpt-") as folder:  # meshes in memory, which Mitsuba reads at once
+            return mi.load_dict(in_files(to_mitsuba(scene), Path(folder)), parallel=False, optimize=optimize)
     except (RuntimeError, TypeError, ValueError) as error:
         raise ComparisonError(f"Mitsuba can't load the scene: {error}") from error
 
@@ -127,6 +131,8 @@ def _in_its_words(mi: Any, node: Mapping[str, Any]) -> dict[str, Any]:
     elif known.get("type") == "envmap" and pixels is not None:
         del known["data"]
         known["bitmap"] = mi.Bitmap(np.array(pixels, np.float32))
+    elif isinstance(known.get("bitmap"), np.ndarray):
+        known["bitmap"] = mi.Bitmap(np.ascontiguousarray(known["bitmap"]))
     elif known.get("type") == "bitmap" and pixels is not None:
         # A copy: Mitsuba takes the memory of tensors that it is given.
         known["data"] = mi.TensorXf(np.array(pixels, np.float32))

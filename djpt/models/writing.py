@@ -14,7 +14,10 @@ from djpt.description.xml.writer import write_dict as write_xml
 from djpt.errors import FileError
 from djpt.shapes.meshes.data import MeshData
 
-__all__ = ["write_dict"]
+__all__ = ["in_files", "write_dict"]
+
+IMAGES = ("bitmap", "envmap")
+"""Plugins whose pixels are written; other grids of numbers, of volumes for example, stay."""
 
 
 def write_dict(path: str | os.PathLike[str], description: Mapping[str, Any]) -> None:
@@ -29,13 +32,24 @@ def write_dict(path: str | os.PathLike[str], description: Mapping[str, Any]) -> 
         FileError: a file can't be written.
     """
     target = check_target(as_path(path))
-    writer = Writer(target.parent / f"{target.stem}_files")
-    # What isn't a mapping is refused below, as other wrong descriptions are.
-    write_xml(target, writer.replaced(description) if isinstance(description, Mapping) else description)
+    if isinstance(description, Mapping):  # what isn't is refused below, as other wrong descriptions are
+        description = in_files(description, target.parent / f"{target.stem}_files")
+    write_xml(target, description)
+
+
+def in_files(description: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """A copy of a description with the names of files in place of meshes and pixels, which are written to a folder.
+
+    The folder is made if there is something to write.
+
+    Raises:
+        FileError: a file can't be written.
+    """
+    return Writer(folder).replaced(description)
 
 
 class Writer:
-    """One call of `write_dict`."""
+    """One call of `in_files`."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -52,7 +66,7 @@ class Writer:
                 result[key] = self.replaced(value)
             elif key == "data" and isinstance(value, MeshData):
                 result["filename"] = self._mesh(value)
-            elif key in ("bitmap", "data") and isinstance(value, np.ndarray) and value.ndim in (2, 3):
+            elif key in ("bitmap", "data") and node.get("type") in IMAGES and is_pixels(value):
                 result["filename"] = self._image(value)
             else:
                 result[key] = value
@@ -86,3 +100,8 @@ class Writer:
         if not known:
             write(name, pixels)
         return name
+
+
+def is_pixels(value: Any) -> bool:
+    """True for the pixels of an image."""
+    return isinstance(value, np.ndarray) and value.ndim in (2, 3)

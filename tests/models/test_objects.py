@@ -123,3 +123,21 @@ def test_mitsuba_renders_what_was_written(tmp_path):
     assert equal.mean() > 0.97
     again = djpt.load_file(tmp_path / "quad.xml", optimize=False)
     assert np.array_equal(ours, np.array(djpt.render(again, spp=16, seed=3)))
+
+
+def test_compare_takes_models(tmp_path, monkeypatch):
+    from click.testing import CliRunner
+
+    from djpt.apps.cli.main import app
+
+    file = quad()
+    pixels = np.random.default_rng(1).integers(0, 256, (4, 4, 3))
+    file.material["pbrMetallicRoughness"] = {"baseColorTexture": file.texture(pixels)}
+    file.material["emissiveTexture"] = file.texture(pixels)
+    file.material["emissiveFactor"] = [0.5, 0, 0]
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "quad.glb").write_bytes(file.glb())
+    options = ["--spp", "8", "--width", "16", "--height", "12", "--no-picture", "--same-seed", "0.97"]
+    result = CliRunner().invoke(app, ["compare", "quad.glb", *options])
+    assert result.exit_code == 0, result.output
+    assert [path.name for path in tmp_path.iterdir()] == ["quad.glb"]
