@@ -135,7 +135,7 @@ def torch_module(scene: Scene, keys: str | Sequence[str], **options: Any) -> Any
     torch = imported("torch", "torch")
     rendered = Rendered(scene, keys, options)
 
-    class Image(torch.autograd.Function):  # type: ignore[name-defined]
+    class Image(torch.autograd.Function):  # type: ignore[misc, name-defined]
         """The image as an operation of PyTorch."""
 
         @staticmethod
@@ -160,7 +160,7 @@ def torch_module(scene: Scene, keys: str | Sequence[str], **options: Any) -> Any
             ]
             return torch.from_numpy(rendered.forward(ctx.values, ctx.seed, given))
 
-    class Module(torch.nn.Module):  # type: ignore[name-defined]
+    class Module(torch.nn.Module):  # type: ignore[misc, name-defined]
         """A scene whose parameters PyTorch optimises."""
 
         def __init__(self) -> None:
