@@ -44,7 +44,7 @@ def load_cameras(
         images: the folder with the photographs; the default is the folder of the file, for COLMAP `images` beside or
             above it, if there is one. Or the photographs one by one, in the order of the cameras (by name for COLMAP):
             for calibrations, which don't name any. Nothing outside of the folder is read, whatever names a file has.
-        size: (width, height) of all photographs; default: the file's, or where it has none that of each picture.
+        size: (width, height) of the photographs where the file doesn't say; default: that of each picture.
         points: read the points in space that a reconstruction has, too.
 
     Returns:

@@ -97,7 +97,7 @@ def lens_of(entries: Mapping[str, Any], found: Path | None, pictures: Pictures, 
         raise SceneError(
             f"{where}: no sensor has the 'camera_model' {str(model)[:40]!r}; possible: {', '.join(MODELS)}"
         )
-    if "w" in entries and "h" in entries and pictures.given is None:
+    if "w" in entries and "h" in entries:
         width, height = (integer(entries[key], f"{where}: '{key}'", 1, LARGEST_SIDE) for key in "wh")
     else:
         width, height = pictures.size(found, where)

@@ -149,12 +149,10 @@ def read_calibration(fields: Mapping[str, Any], name: str, pictures: Pictures) -
         raise SceneError(
             f"{name}: has no camera matrix; possible: {', '.join(KEYS['camera matrix'])}; found: {listed(fields)}"
         )
-    size = pictures.given
-    if size is None and found["width"] is not None and found["height"] is not None:
+    if found["width"] is not None and found["height"] is not None:
         width, height = (integer(found[key], f"{name}: the {key}", 1, LARGEST_SIDE) for key in ("width", "height"))
-        size = width, height
-    if size is None:
-        size = pictures.size(pictures.find("", 0), name)
+    else:
+        width, height = pictures.size(pictures.find("", 0), name)
     model = fields.get("distortion_model", "plumb_bob")
     if model not in MODELS:
         raise SceneError(f"{name}: no sensor has the 'distortion_model' {str(model)[:40]!r}")
@@ -169,7 +167,7 @@ def read_calibration(fields: Mapping[str, Any], name: str, pictures: Pictures) -
             raise SceneError(f"{name}: the extrinsic parameters must have 6 columns, found the shape {both.shape}")
         rotation, translation = both[:, :3], both[:, 3:]
     return of_matrices(
-        matrix, distortion, rotation, translation, size=size, fisheye=fisheye, images=pictures, name=name
+        matrix, distortion, rotation, translation, size=(width, height), fisheye=fisheye, images=pictures, name=name
     )
 
 

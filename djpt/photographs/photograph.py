@@ -18,8 +18,8 @@ from djpt.errors import FileError, SceneError
 from djpt.images.image import read_pixels, reading, require_modest
 from djpt.images.srgb import from_srgb
 from djpt.models.folder import Folder
-from djpt.photographs.fields import LARGEST
-from djpt.photographs.lens import Lens
+from djpt.photographs.fields import LARGEST, integer, numbers
+from djpt.photographs.lens import LARGEST_SIDE, Lens
 
 __all__ = ["Photograph", "Photographs", "Pictures", "from_opencv", "from_opengl", "linear"]
 
@@ -36,7 +36,7 @@ SAME_ASPECT = 0.02
 """How far the ratio of a picture's sides may be from that of its lens."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Photograph:
     """A photograph and its camera.
 
@@ -83,14 +83,16 @@ class Photograph:
             )
         if pixels.shape[2] in (2, 4):
             alpha = pixels[..., -1:]
-            pixels = pixels[..., :-1] * alpha + background * (1 - alpha)
+            # Colours in OpenEXR are multiplied by alpha already.
+            shares = 1 if self.path.suffix.lower() == ".exr" else alpha
+            pixels = pixels[..., :-1] * shares + background * (1 - alpha)
         if pixels.shape[2] == 1:
             pixels = np.repeat(pixels, 3, axis=2)
         pixels = averaged(averaged(pixels[..., :3], self.lens.height, 0), self.lens.width, 1)
         return np.ascontiguousarray(pixels, np.float32)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Photographs(Sequence[Photograph]):
     """Photographs of one thing, in order.
 
@@ -221,6 +223,10 @@ class Pictures:
     Args:
         images: a folder; or pictures one by one, in the order of the cameras.
         size: (width, height) of pictures that aren't there.
+
+    Raises:
+        FileError: there is no such folder.
+        SceneError: the size isn't one.
     """
 
     def __init__(
@@ -231,7 +237,12 @@ class Pictures:
         one = isinstance(images, (str, os.PathLike))
         self.folder = Folder(images) if one else None  # type: ignore[arg-type]
         self.paths = [] if one else [Path(path) for path in images]  # type: ignore[union-attr]
-        self.given = size
+        if self.folder is not None and not os.path.isdir(self.folder.path):
+            raise FileError(f"there is no folder '{shortened(images)}' of photographs")
+        self.given: tuple[int, int] | None = None
+        if size is not None:
+            width, height = (integer(n, "'size'", 1, LARGEST_SIDE) for n in numbers(size, "'size'", (2,)).tolist())
+            self.given = width, height
 
     def find(self, name: str, number: int) -> Path | None:
         """The picture of a camera, by its name or, where they were given one by one, its number; or None.
@@ -240,7 +251,8 @@ class Pictures:
         """
         if self.folder is None:
             return self.paths[number] if number < len(self.paths) else None
-        for candidate in dict.fromkeys((name, name.replace("\\", "/").rpartition("/")[2])):
+        name = name.replace("\\", "/")
+        for candidate in dict.fromkeys((name, name.rpartition("/")[2])):
             for suffix in SUFFIXES:
                 path = os.path.join(self.folder.path, candidate + suffix)
                 if os.path.isfile(path) and self.folder.contains(path):

@@ -87,6 +87,9 @@ def test_transparent_pictures_are_laid_over_a_background(tmp_path):
     for background in (0.0, 0.25):
         target = view.target(background)
         assert np.all(target[: HEIGHT // 2] == background) and np.all(target[HEIGHT // 2 :] == 1)
+    (tmp_path / "view 0.png").unlink()
+    djpt.write(tmp_path / "view 0.exr", np.full((HEIGHT, WIDTH, 4), 0.5, np.float32))  # multiplied already
+    np.testing.assert_allclose(djpt.load_cameras(tmp_path)[0].target(0.25), 0.625)
 
 
 def test_pictures_of_another_shape_are_refused(tmp_path):
@@ -144,6 +147,11 @@ def test_what_holds_no_cameras_is_refused(tmp_path):
     with pytest.raises(djpt.FileError, match="there is no such file"):
         djpt.load_cameras(tmp_path / "c.json")
     assert len(djpt.load_cameras(tmp_path / "frames.json")) == 0
+    with pytest.raises(djpt.FileError, match=r"there is no folder '.*nowhere' of photographs"):
+        djpt.load_cameras(tmp_path / "frames.json", tmp_path / "nowhere")
+    for size, message in (((8,), "must have 2 numbers, found 1"), ((8, 0), "must be a whole number from 1")):
+        with pytest.raises(djpt.SceneError, match=f"'size' {message}"):
+            djpt.load_cameras(tmp_path / "frames.json", size=size)
 
 
 KINDS: dict[str, tuple[dict[str, Any], str]] = {
