@@ -262,7 +262,7 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
         """A path that begins with a camera ray; `inside`: whether a light path can be shown there."""
         vcm, before = Float(0), Float(0)
         if self.shows_light(scene, camera):
-            pdf, before = camera.pdf_ray(ray.d)
+            pdf, before = camera.pdf_ray(ray)
             vcm = dr.select(inside, self.h(dr.rcp(pdf)), 0)
         eta = Float(1) if scene.bsdfs.refract else None
         return Subpath(ray, Color3f(1), vcm, Float(0), before, eta, UInt32(1))

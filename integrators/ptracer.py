@@ -89,7 +89,7 @@ class ParticleTracer(Terminating, PassIntegrator):
         if not sensor.can_be_reached:
             raise RenderError(
                 f"'ptracer' can't trace light to the sensor '{sensor.id()}'; "
-                "possible: perspective, thinlens, orthographic, fisheye, panorama (not for an eye beside its centre)"
+                "possible: perspective, thinlens, orthographic, fisheye, panorama"
             )
         super().check_scene(scene, sensor)
 

@@ -317,7 +317,7 @@ class Sensor(SampledRays, Endpoint):
         """
         raise self.unreachable()
 
-    def pdf_ray(self, d: Vector3f) -> tuple[Float, Float]:
+    def pdf_ray(self, ray: Ray3f) -> tuple[Float, Float]:
         """The density of a camera ray's direction, and its distance from the centre of projection: (pdf, distance).
 
         pdf is per unit solid angle, for film positions that are uniform over the crop window; distance is measured
@@ -327,8 +327,7 @@ class Sensor(SampledRays, Endpoint):
 
         Parallel rays have no centre: their distance is inf, and their pdf is per unit area across them.
 
-        `d`, of unit length, must be the direction of a ray of `ray_through`. Whether it lies in the crop window isn't
-        tested: filters look beyond it.
+        `ray` must be one of `ray_through`. Whether it lies in the crop window isn't tested: filters look beyond it.
 
         Raises:
             RenderError: light can't be traced towards the sensor.

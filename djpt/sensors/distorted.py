@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.core.numeric import as_number
-from djpt.core.records import DirectionSample3f
+from djpt.core.records import DirectionSample3f, Ray3f
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.errors import ParameterError, SceneError
@@ -230,10 +230,10 @@ class DistortedPerspective(Perspective):
         )
         return ds, dr.select(seen, length * dr.square(inv_z) * self.inv_area * determinant, 0)
 
-    def pdf_ray(self, d: Vector3f) -> tuple[Float, Float]:
+    def pdf_ray(self, ray: Ray3f) -> tuple[Float, Float]:
         """See `Central`; the density on the ideal image times how much larger the shown one is there."""
-        pdf, distance = super().pdf_ray(d)
-        inverse = dr.rcp(dr.dot(d, self.axis_z))
-        q = Point2f(dr.dot(d, self.axis_x) * inverse, dr.dot(d, self.axis_y) * inverse)
+        pdf, distance = super().pdf_ray(ray)
+        inverse = dr.rcp(dr.dot(ray.d, self.axis_z))
+        q = Point2f(dr.dot(ray.d, self.axis_x) * inverse, dr.dot(ray.d, self.axis_y) * inverse)
         _, (xx, xy, yy) = self.distorted(q)
         return pdf * (xx * yy - dr.square(xy)), distance

@@ -113,6 +113,10 @@ class MappedCamera(ProjectiveCamera):
 
     # ---- in kernels --------------------------------------------------------------------
 
+    def sight(self, ref: Point3f) -> tuple[Point3f, Bool | bool]:
+        """The place from which a point is seen, and whether there is one."""
+        return self.origin, True
+
     def to_world_space(self, d: Vector3f) -> Vector3f:
         """A direction of camera space in the world."""
         return dr.fma(self.axis_x, d.x, dr.fma(self.axis_y, d.y, self.axis_z * d.z))
@@ -128,7 +132,8 @@ class MappedCamera(ProjectiveCamera):
     def sample_wi(
         self, ref: Point3f, aperture_sample: Point2f, active: Bool | bool = True
     ) -> tuple[DirectionSample3f, Float]:
-        to_ref = ref - self.origin
+        start, shown = self.sight(ref)
+        to_ref = ref - start
         distance_squared = dr.squared_norm(to_ref)
         inverse = dr.rsqrt(dr.select(distance_squared > 0, distance_squared, 1))
         distance, d = distance_squared * inverse, Vector3f(to_ref * inverse)
@@ -136,9 +141,9 @@ class MappedCamera(ProjectiveCamera):
         q, mapped = self.to_plane(local)
         uv = Point2f((q.x - self.corner.x) / self.step.x, (q.y - self.corner.y) / self.step.y)
         in_range = (distance > self.near) & (distance < self.near + self.depth)
-        seen = mapped & in_range & (uv.x >= 0) & (uv.x < 1) & (uv.y >= 0) & (uv.y < 1)
+        seen = mapped & shown & in_range & (uv.x >= 0) & (uv.x < 1) & (uv.y >= 0) & (uv.y < 1)
         ds = DirectionSample3f.of(
-            p=dr.fma(d, self.near, self.origin),
+            p=dr.fma(d, self.near, start),
             n=d,
             uv=uv,
             d=-d,
@@ -162,6 +167,6 @@ class MappedCamera(ProjectiveCamera):
         """The density of directions for film positions that are uniform on the crop window, per unit solid angle."""
         return self.spread(local) * dr.rcp(dr.abs(self.step.x * self.step.y))
 
-    def pdf_ray(self, d: Vector3f) -> tuple[Float, Float]:
+    def pdf_ray(self, ray: Ray3f) -> tuple[Float, Float]:
         """See `Sensor`: the density, and `near_clip`."""
-        return self.density(self.to_camera_space(d)), self.near
+        return self.density(self.to_camera_space(ray.d)), self.near

@@ -116,8 +116,8 @@ def pinhole(camera: Any, aperture_sample: Point2f) -> Any:
     """A camera with a lens as seen through one point of it: the rays through that point, with the same film."""
     view = copy.copy(camera)
     with dr.resume_grad():
-        lens, bend = camera.lens_point(dr.detach(aperture_sample))
-        view.origin, view.corner = camera.origin + lens, camera.corner + bend
+        lens = camera.lens_point(dr.detach(aperture_sample))
+        view.origin, view.corner = camera.origin + lens, camera.bent(camera.corner, lens)
     view.lens_x, view.lens_y, view.uses_aperture = Vector3f(0), Vector3f(0), False
     return view
 

@@ -116,7 +116,7 @@ class Orthographic(ProjectiveCamera):
         )
         return ds, dr.select(seen, self.inv_area, 0)
 
-    def pdf_ray(self, d: Vector3f) -> tuple[Float, Float]:
+    def pdf_ray(self, ray: Ray3f) -> tuple[Float, Float]:
         """1 / (area of the crop window), per unit area across the rays, and inf: they are parallel."""
         return self.inv_area, Float(dr.inf)
 

@@ -37,7 +37,10 @@ class Panorama(MappedCamera):
 
     With `eye` = `left` or `right` the rays of each column start where that eye of a head that looks along the column is
     (omnidirectional stereo): at half of `eye_distance` from the centre, across the horizontal direction of the column.
-    Such rays don't meet in one point, and light can't be traced towards them.
+    Such rays are tangents of a cylinder of radius r = eye_distance / 2 instead of meeting in one point. A point at the
+    distance D from the cylinder's axis is seen along the tangent on the eye's side, whose horizontal length is
+    sqrt(D^2 - r^2); what is within the cylinder isn't seen. Derivatives by the place and the lens of such an eye aren't
+    available.
 
     Parameters, besides those of `MappedCamera`: `azimuth_from`, `azimuth_to` (degrees, default -180 and 180, at most
     360 apart: the film's left and right edge), `elevation_from`, `elevation_to` (default -90 and 90: the film's lower
@@ -69,7 +72,7 @@ class Panorama(MappedCamera):
         problem = self.problem()
         if problem is not None:
             raise props.error(*problem)
-        self.can_be_reached = self.is_central = self.is_pinhole = self.eye == "centre"  # type: ignore[misc]
+        self.is_central = self.is_pinhole = self.eye == "centre"  # type: ignore[misc]
         if self.eye != "centre":
             self.motions = ()  # type: ignore[assignment, misc]
         self.place()
@@ -144,6 +147,19 @@ class Panorama(MappedCamera):
     def spread(self, d: Vector3f) -> Float:
         return dr.rcp(dr.sqrt(dr.maximum(dr.square(d.x) + dr.square(d.z), 1e-20)))
 
+    def sight(self, ref: Point3f) -> tuple[Point3f, Bool | bool]:
+        if self.eye == "centre":
+            return super().sight(ref)
+        local = self.to_camera_space(ref - self.origin)
+        # In the plane of the horizon p = left r + ahead s, and ahead is left, turned by 90 degrees.
+        squared = dr.square(local.x) + dr.square(local.z)
+        s = dr.safe_sqrt(squared - dr.square(self.aside))
+        inverse = dr.rcp(dr.maximum(squared, 1e-20))
+        left_x = dr.fma(local.x, self.aside, local.z * s) * inverse
+        left_z = dr.fma(local.z, self.aside, -local.x * s) * inverse
+        left = self.to_world_space(Vector3f(left_x, 0, left_z))
+        return dr.fma(left, self.aside, self.origin), s > 0
+
     def ray_through(self, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True) -> Ray3f:
         ray = super().ray_through(film_position, aperture_sample, active)
         if self.eye == "centre":
@@ -151,18 +167,6 @@ class Panorama(MappedCamera):
         sin_phi, cos_phi = dr.sincos(dr.fma(self.step.x, film_position.x, self.corner.x))
         left = self.to_world_space(Vector3f(cos_phi, 0, sin_phi))
         return ray.replaced(o=dr.fma(left, self.aside, ray.o))
-
-    def sample_wi(
-        self, ref: Point3f, aperture_sample: Point2f, active: Bool | bool = True
-    ) -> tuple[DirectionSample3f, Float]:
-        if self.eye != "centre":
-            raise self.unreachable()
-        return super().sample_wi(ref, aperture_sample, active)
-
-    def pdf_ray(self, d: Vector3f) -> tuple[Float, Float]:
-        if self.eye != "centre":
-            raise self.unreachable()
-        return super().pdf_ray(d)
 
     def starts(self) -> Any:
         """The points near which rays start: on a circle for an eye beside the centre."""

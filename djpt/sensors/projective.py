@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from djpt.core.bounding_box import ScalarBoundingBox3f
 from djpt.core.numeric import as_number
-from djpt.core.records import DirectionSample3f
+from djpt.core.records import DirectionSample3f, Ray3f
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.errors import ParameterError
@@ -208,17 +208,25 @@ class Central(ProjectiveCamera):
         """
         return dr.fma(self.across, film_position.x, dr.fma(self.down, film_position.y, self.corner))
 
-    def lens_point(self, aperture_sample: Point2f) -> tuple[Vector3f, Vector3f]:
-        """A point of the lens relative to its centre, and how the ray from there departs from that through the centre.
+    def lens_point(self, aperture_sample: Point2f) -> Vector3f:
+        """A point of the lens relative to its centre, in world space."""
+        return Vector3f(0)
 
-        Both are in world space, the latter per unit along the optical axis.
+    def bent(self, m: Vector3f, lens: Vector3f) -> Vector3f:
+        """The way of the ray from a point of the lens that has the same image as the ray `m` through the centre.
+
+        Both are per unit along the optical axis.
         """
-        return Vector3f(0), Vector3f(0)
+        return m
+
+    def straightened(self, m: Vector3f, lens: Vector3f) -> Vector3f:
+        """The way of the ray through the centre that has the same image as `m`: the inverse of `bent`."""
+        return m
 
     def sample_wi(
         self, ref: Point3f, aperture_sample: Point2f, active: Bool | bool = True
     ) -> tuple[DirectionSample3f, Float]:
-        lens, bend = self.lens_point(aperture_sample)
+        lens = self.lens_point(aperture_sample)
         start = self.origin + lens
         to_ref = ref - start
         z = dr.dot(to_ref, self.axis)
@@ -226,7 +234,7 @@ class Central(ProjectiveCamera):
         inv_z = dr.rcp(dr.select(in_range, z, 1))
         # Per unit along the optical axis, as `through_centre`; the inverse of what `ray_through` does.
         m = to_ref * inv_z
-        on_plane = m - bend - self.corner
+        on_plane = self.straightened(m, lens) - self.corner
         uv = Point2f(dr.dot(on_plane, self.to_column), dr.dot(on_plane, self.to_row))
         seen = in_range & (uv.x >= 0) & (uv.x < 1) & (uv.y >= 0) & (uv.y < 1)
         length_squared = dr.squared_norm(m)
@@ -256,12 +264,12 @@ class Central(ProjectiveCamera):
         ds.p, ds.dist, ds.delta = dr.fma(ds.d, behind, ds.p), ds.dist + behind, Bool(False)
         return ds, importance
 
-    def pdf_ray(self, d: Vector3f) -> tuple[Float, Float]:
+    def pdf_ray(self, ray: Ray3f) -> tuple[Float, Float]:
         """The density 1 / (A cos^3), A: the crop window's area on the plane at distance 1; the distance near / cos.
 
         With a lens, each point of it is the centre of projection of its rays, and the density is the same for all.
         """
-        inv_cos = dr.rcp(dr.dot(d, self.axis))
+        inv_cos = dr.rcp(dr.dot(ray.d, self.axis))
         return self.inv_area * (inv_cos * dr.square(inv_cos)), self.near * inv_cos
 
 

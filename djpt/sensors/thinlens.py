@@ -26,6 +26,11 @@ __all__ = ["ThinLens"]
 
 LENS = ("aperture_radius", "focus_distance")
 MOTIONS = ("attached_matrix", "x_fov", "aperture_radius", "_focus_distance")
+VIEW_CAMERA = (
+    *("aperture_blades", "aperture_rotation", "aperture_roundness", "tilt", "swing"),
+    *("principal_point_offset_x", "principal_point_offset_y"),
+)
+"""Entries of lenses with blades, tilt or shift."""
 
 
 class ThinLens(Central):
@@ -40,7 +45,8 @@ class ThinLens(Central):
     of an angle.
 
     Parameters: those of `perspective` without the principal point, and `aperture_radius` (of the lens, in scene
-    units, > 0, required), `focus_distance` (along the optical axis, > 0, default `far_clip`).
+    units, > 0, required), `focus_distance` (along the optical axis, > 0, default `far_clip`). With any of the entries
+    of `djpt.sensors.viewcamera.ViewCamera`, aperture blades, tilt and shift, it is one of those.
 
     Source: R. L. Cook, T. Porter, L. Carpenter, "Distributed Ray Tracing", SIGGRAPH 1984.
     """
@@ -51,7 +57,15 @@ class ThinLens(Central):
         **dict.fromkeys(("lens_x", "lens_y", "inv_focus"), ParamFlags.NonDifferentiable),
     }
     uses_aperture = True
-    motions = MOTIONS
+    motions: ClassVar[tuple[str, ...]] = MOTIONS
+
+    def __new__(cls, props: Properties | None = None) -> ThinLens:
+        """The class itself, or one with blades, tilt or shift if `props` says so; copies have no `props`."""
+        if cls is ThinLens and props is not None and any(name in props for name in VIEW_CAMERA):
+            from djpt.sensors.viewcamera import ViewCamera  # most cameras need none of it
+
+            return super().__new__(ViewCamera)
+        return super().__new__(cls)
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
@@ -91,23 +105,35 @@ class ThinLens(Central):
 
         return pinhole(self, aperture_sample) if self.uses_aperture else self
 
-    def lens_point(self, aperture_sample: Point2f) -> tuple[Vector3f, Vector3f]:
-        lens = square_to_uniform_disk_concentric(aperture_sample)
-        a = self.lens_x * lens.x + self.lens_y * lens.y
-        return a, a * -self.inv_focus
+    def lens_point(self, aperture_sample: Point2f) -> Vector3f:
+        lens = self.aperture_point(aperture_sample)
+        return Vector3f(self.lens_x * lens.x + self.lens_y * lens.y)
+
+    def aperture_point(self, sample: Point2f) -> Point2f:
+        """A point drawn uniformly on the aperture, in units of its radius: x to the left, y up."""
+        return Point2f(square_to_uniform_disk_concentric(sample))
+
+    def bent(self, m: Vector3f, lens: Vector3f) -> Vector3f:
+        return m + lens * -self.inv_focus
+
+    def straightened(self, m: Vector3f, lens: Vector3f) -> Vector3f:
+        return m - lens * -self.inv_focus
+
+    def aperture_area(self) -> Float:
+        """The area of the aperture."""
+        return math.pi * dr.square(self.aperture_radius)
 
     def sample_direction(
         self, it: Any, sample: Point2f, active: Bool | bool = True
     ) -> tuple[DirectionSample3f, Color3f]:
         """See `SampledRays`; `ds.pdf` is that of the point of the lens, per unit solid angle."""
         ds, importance = super().sample_direction(it, sample, active)
-        area = math.pi * dr.square(self.aperture_radius)
-        ds.pdf = dr.square(ds.dist) * dr.rcp(area * dr.abs(dr.dot(ds.d, self.axis)))
+        ds.pdf = dr.square(ds.dist) * dr.rcp(self.aperture_area() * dr.abs(dr.dot(ds.d, self.axis)))
         return ds, importance
 
     def ray_through(self, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True) -> Ray3f:
-        a, bend = self.lens_point(aperture_sample)
-        d = self.through_centre(film_position) + bend
+        a = self.lens_point(aperture_sample)
+        d = self.bent(self.through_centre(film_position), a)
         length_squared = dr.squared_norm(d)
         inv_length = dr.rsqrt(length_squared)
         o = dr.fma(d, self.near, self.origin + a)

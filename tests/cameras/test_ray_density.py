@@ -10,11 +10,12 @@ import pytest
 
 import djpt
 from djpt.core.frame import Frame3f
+from djpt.core.records import Ray3f
 from djpt.description import registry
 from djpt.errors import RenderError
-from djpt.jit.types import Float, Point2f, Point3f
+from djpt.jit.types import Float, Point2f, Point3f, Vector3f
 from tests.cameras.test_sensors import CAMERAS, FILMS, LOOK, METER, METERS, MIXED, batch
-from tests.cameras.wide_cameras import WIDE
+from tests.cameras.wide_cameras import VIEW, WIDE
 from tests.kit.chi_squared import PLANE, SIGNIFICANCE, SPHERE, p_value, uniform
 
 pytestmark = pytest.mark.cuda
@@ -26,6 +27,7 @@ REACHABLE: dict[str, dict[str, Any]] = {
     "perspective off the axis": {**BROAD, "fov": 40, "principal_point_offset_x": 0.6, "near_clip": 1.5},
     **CAMERAS,
     **{name: WIDE[name] for name in ("equidistant", "stereographic", "panorama behind", "distorted in pixels")},
+    **{name: VIEW[name] for name in ("tilt", "all of it")},
 }
 LENSES = [(0.5, 0.5), (0.1, 0.8)]
 """Samples of the aperture: its centre, and a point near its edge."""
@@ -54,7 +56,7 @@ class TestDensity:
         """By direction; where all rays are parallel, by the place where they start."""
         sensor = sensor_of(name, film)
         ray = rays_of(sensor, lens)
-        parallel = np.isinf(np.array(sensor.pdf_ray(ray.d)[1])).any()
+        parallel = np.isinf(np.array(sensor.pdf_ray(ray)[1])).any()
         axis = Frame3f.from_normal(dr.normalize(dr.detach(dr.mean(ray.d, axis=1))))
 
         def shown(p: Any) -> Any:
@@ -69,19 +71,20 @@ class TestDensity:
 
             def density(at: Any) -> Any:
                 p = axis.to_world(Point3f(at.x * half + centre[0], at.y * half + centre[1], depth))
-                return dr.select(shown(p), sensor.pdf_ray(axis.n)[0] * half**2, 0)
+                return dr.select(shown(p), sensor.pdf_ray(Ray3f(p, axis.n))[0] * half**2, 0)
 
             p, integral = p_value(PLANE, place, True, density, fine=96)
         else:
             towards = axis.to_local(ray.d)
             lowest = float(np.array(towards.z).min())
             domain = type(SPHERE)((1 - 1.1 * (1 - lowest), 0), SPHERE.high, SPHERE.point, SPHERE.coordinates)
-            _, distance = sensor.pdf_ray(ray.d)
+            _, distance = sensor.pdf_ray(ray)
             start = Point3f(*np.array(ray.o - ray.d * distance, np.float64).mean(axis=1).tolist())
 
             def density(local: Any) -> Any:
                 d = axis.to_world(local)
-                pdf, near = sensor.pdf_ray(d)
+                _, near = sensor.pdf_ray(Ray3f(start, d))
+                pdf, _ = sensor.pdf_ray(Ray3f(dr.fma(d, near, start), d))
                 return dr.select(shown(dr.fma(d, near + 1, start)), pdf, 0)
 
             p, integral = p_value(domain, towards, True, density, fine=96)
@@ -94,7 +97,7 @@ class TestDensity:
         ray = rays_of(sensor, lens, 4096)
         t = Float(uniform(4096, 1, seed=1)[0] * (0.9 * ray.maxt) + 1e-3)
         _, importance = sensor.sample_wi(ray(t), Point2f(*lens))
-        pdf, distance = sensor.pdf_ray(ray.d)
+        pdf, distance = sensor.pdf_ray(ray)
         expected = dr.select(dr.isfinite(distance), pdf * dr.rcp(dr.square(t + distance)), pdf)
         expected, found = (np.broadcast_to(np.array(x, np.float64), (4096,)) for x in (expected, importance))
         # A point on the border of the film may fall off it.
@@ -105,7 +108,7 @@ class TestDensity:
     def test_rays_come_together_at_its_distance(self, name: str, film: str, lens: tuple[float, float]) -> None:
         sensor = sensor_of(name, film)
         ray = rays_of(sensor, lens, 4096)
-        _, distance = sensor.pdf_ray(ray.d)
+        _, distance = sensor.pdf_ray(ray)
         if np.isinf(np.array(distance)).all():
             assert np.ptp(np.broadcast_to(np.array(ray.d), (3, 4096)), axis=1).max() == 0
             return
@@ -126,6 +129,6 @@ def test_others_say_that_light_cannot_reach_them(name: str) -> None:
     sensor = loaded.sensors()[0] if name == "irradiancemeter" else loaded
     message = "light can't be traced towards this sensor; possible: .*perspective.*"
     with pytest.raises(RenderError, match=message):
-        sensor.pdf_ray(djpt.Vector3f(0, 0, 1))
+        sensor.pdf_ray(Ray3f(Point3f(0), Vector3f(0, 0, 1)))
     with pytest.raises(RenderError, match=message):
         sensor.sample_wi(Point3f(0), Point2f(0.5))

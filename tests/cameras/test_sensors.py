@@ -215,7 +215,6 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
         r"'near_clip' must be less than 'far_clip' \(2\), found 2",
     ),
     "scale": ({**THIN, "to_world": T().scale(2)}, "'to_world' must not scale: a camera has no size"),
-    "principal point": ({**THIN, "principal_point_offset_x": 0.1}, "unknown key 'principal_point_offset_x'"),
     "shear": ({"type": "orthographic", "to_world": SHEAR}, "'to_world' may scale along its own axes .* found a shear"),
     "fov of orthographic": ({"type": "orthographic", "fov": 40}, "unknown key 'fov'"),
     "radiance film": (

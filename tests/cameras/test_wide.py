@@ -10,10 +10,10 @@ import pytest
 
 import djpt
 from djpt.core.transforms import ScalarTransform4f as T
-from djpt.errors import DjptError, RenderError, SceneError
+from djpt.errors import DjptError, SceneError
 from djpt.jit.types import Float, Point2f, Point3f
 from tests.cameras.test_sensors import FILMS, LOOK
-from tests.cameras.wide_cameras import WIDE
+from tests.cameras.wide_cameras import VIEW, WIDE
 from tests.kit.chi_squared import uniform
 from tests.kit.kernels import Watched
 
@@ -151,12 +151,13 @@ def described(camera: dict[str, Any], integrator: dict[str, Any]) -> dict[str, A
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in WIDE if "left" not in name])
+@pytest.mark.parametrize("name", [*WIDE, "blades", "all of it"])
 def test_light_arrives_where_the_camera_looks(name: str) -> None:
     """The pictures of `ptracer` and `path`: the means of blocks of 4 x 4 pixels."""
+    camera = WIDE.get(name) or {**VIEW[name], "fov": 80, "focus_distance": 1.2, "aperture_radius": 0.15}
 
     def blocks(kind: str, spp: int) -> np.ndarray:
-        scene = djpt.load_dict(described(WIDE[name], {"type": kind, "max_depth": 3}))
+        scene = djpt.load_dict(described(camera, {"type": kind, "max_depth": 3}))
         images = np.array([djpt.render(scene, spp=spp, seed=seed) for seed in range(8)])
         return images.reshape(8, 3, 4, 4, 4, 3).mean(axis=(2, 4))
 
@@ -200,7 +201,7 @@ def test_errors(entries: dict[str, Any], message: str) -> None:
 
 
 def test_the_eyes_of_a_stereo_panorama() -> None:
-    """Each looks across the line between the eyes, and light can't be traced towards them."""
+    """Each looks across the line between the eyes, and shows nothing that is between them."""
     eyes = [djpt.load_dict({"type": "panorama", "eye": eye, "eye_distance": 0.2}) for eye in ("left", "right")]
     rays = [eye.ray_through(Point2f(*uniform(64)), Point2f(0.5)) for eye in eyes]
     between = np.array(rays[0].o - rays[1].o)
@@ -208,8 +209,37 @@ def test_the_eyes_of_a_stereo_panorama() -> None:
     np.testing.assert_allclose((between * np.array(rays[0].d)).sum(axis=0), 0, atol=1e-6)
     # Straight ahead the left eye is on the left, where +x is.
     assert eyes[0].ray_through(Point2f(0.5), Point2f(0.5)).o.x[0] == pytest.approx(0.1)
-    with pytest.raises(RenderError, match="light can't be traced towards this sensor"):
-        eyes[0].sample_wi(Point3f(0, 0, 1), Point2f(0.5))
+    p = Point3f([0.05, 0.15], [0, 0], [0.05, 0])
+    for eye in eyes:
+        np.testing.assert_array_equal(np.array(eye.sample_wi(p, Point2f(0.5))[1]) > 0, [False, True])
+
+
+@pytest.mark.parametrize("eye", ["left", "right"])
+def test_the_importance_of_an_eye_integrates_to_one(eye: str) -> None:
+    """Over a cylinder about the circle from which it looks."""
+    sensor = djpt.load_dict(
+        {"type": "panorama", "eye": eye, "eye_distance": 0.6, "elevation_from": -40, "elevation_to": 60}
+    )
+    radius, low, high, count = 1.0, -1.0, 2.0, 2**18
+    u, v = uniform(count)
+    p = Point3f(radius * np.cos(2 * np.pi * u), low + (high - low) * v, radius * np.sin(2 * np.pi * u))
+    ds, importance = sensor.sample_wi(p, Point2f(0.5))
+    cos = dr.abs(dr.dot(ds.d, Point3f(p.x, 0, p.z))) / radius
+    total = np.array(importance * cos, np.float64) * 2 * np.pi * radius * (high - low)
+    assert total.mean() == pytest.approx(1, abs=5 * total.std() / np.sqrt(count))
+
+
+@pytest.mark.parametrize("name", ["left eye", "right eye"])
+def test_the_density_of_an_eye_is_its_importance(name: str) -> None:
+    sensor = sensor_of(name)
+    ray = sensor.ray_through(Point2f(*uniform(COUNT)), Point2f(0.5))
+    t = Float(uniform(COUNT, 1, seed=1)[0] * 5 + 0.1)
+    _, importance = sensor.sample_wi(ray(t), Point2f(0.5))
+    pdf, distance = sensor.pdf_ray(ray)
+    shown = np.array(importance) > 0
+    assert shown.mean() > 0.99
+    expected = np.array(pdf / dr.square(t + distance))
+    np.testing.assert_allclose(np.array(importance)[shown], expected[shown], rtol=1e-3)
 
 
 def test_wrong_edits_are_refused() -> None:

@@ -6,7 +6,7 @@ from typing import Any
 
 from tests.cameras.test_sensors import LOOK
 
-__all__ = ["WIDE"]
+__all__ = ["LENS", "VIEW", "WIDE"]
 
 WIDE: dict[str, dict[str, Any]] = {
     "equidistant": {"type": "fisheye", "to_world": LOOK, "fov": 170},
@@ -28,4 +28,22 @@ WIDE: dict[str, dict[str, Any]] = {
         "p1": 0.01, "p2": -0.02, "to_world": LOOK, "near_clip": 0.4,
     },
     "rational": {"type": "perspective", "fov": 60, "k1": 0.3, "k4": 0.2, "k5": 0.05, "k6": 0.01},
+    "left eye": {
+        "type": "panorama", "eye": "left", "eye_distance": 0.6, "to_world": LOOK, "azimuth_to": 120, "near_clip": 0.3,
+        "elevation_from": -80, "elevation_to": 85,
+    },
+    "right eye": {"type": "panorama", "eye": "right", "eye_distance": 0.3, "elevation_from": -70, "elevation_to": 80},
 }  # fmt: skip
+
+LENS = {"type": "thinlens", "aperture_radius": 0.4, "focus_distance": 3.5, "fov": 50, "to_world": LOOK}
+VIEW: dict[str, dict[str, Any]] = {
+    "blades": {**LENS, "aperture_blades": 5, "aperture_rotation": 20},
+    "roundness": {**LENS, "aperture_blades": 6, "aperture_roundness": 0.4},
+    "shift": {**LENS, "principal_point_offset_x": 0.2, "principal_point_offset_y": -0.1},
+    "tilt": {**LENS, "tilt": 40, "swing": -25},
+    "all of it": {
+        **LENS, "aperture_blades": 7, "aperture_rotation": -10, "aperture_roundness": 0.7, "tilt": -30, "swing": 50,
+        "principal_point_offset_x": 0.1, "near_clip": 0.5,
+    },
+}  # fmt: skip
+"""Lenses with blades, tilt and shift."""

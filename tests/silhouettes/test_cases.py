@@ -507,6 +507,28 @@ for motion, move in LENS_MOTIONS.items():
         CASES[f"a lens, {motion}: {where}"] = Case(
             lambda where=where: lens(where), move, spp=512, settings={"sppi": 0} if where == "a globe" else {}
         )
+BLADES = {"aperture_blades": 5, "aperture_rotation": 15, "aperture_roundness": 0.3, "tilt": 35, "swing": -20}
+
+
+def view_camera(scene: str) -> dict[str, Any]:
+    """The scenes of `lens` through a lens with blades, tilted."""
+    nodes = lens(scene)
+    return {**nodes, "sensor": {**nodes["sensor"], **BLADES}}
+
+
+CASES |= {
+    f"a view camera, {name}: {where}": Case(
+        lambda where=where: view_camera(where), move, spp=512, settings={"sppi": 0} if where == "a globe" else {}
+    )
+    for name, where, move in (
+        ("step aside", "the light of a point", shift("sensor.to_world")),
+        ("tilt", "a globe", edit("sensor.tilt", 40)),
+        ("swing", "the light of a point", edit("sensor.swing", 40)),
+        ("turned blades", "a globe", edit("sensor.aperture_rotation", 60)),
+        ("roundness", "a globe", edit("sensor.aperture_roundness", 2)),
+        ("shift", "a globe", edit("sensor.principal_point_offset_x", 0.3)),
+    )
+}
 CASES["a lens: a ball moves"] = Case(lambda: lens("a ball"), shift("ball.to_world"), spp=512)
 
 
