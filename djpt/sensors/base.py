@@ -19,7 +19,7 @@ from djpt.description.properties import Properties
 from djpt.description.registry import lookup, registered
 from djpt.errors import ParameterError, RenderError, SceneError, near_miss
 from djpt.films.base import Film
-from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32
 from djpt.samplers.base import Sampler
 from djpt.sensors.mitsuba_api import SampledRays
 

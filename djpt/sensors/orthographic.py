@@ -15,7 +15,7 @@ from djpt.description.properties import Properties
 from djpt.description.registry import register_sensor
 from djpt.errors import SceneError
 from djpt.jit.kernels import as_float, as_vector
-from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32
 from djpt.sensors.projective import ProjectiveCamera
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ import drjit as dr
 import numpy as np
 
 from djpt.core.numeric import as_number
-from djpt.core.records import DirectionSample3f, Ray3f
+from djpt.core.records import Ray3f
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.description.registry import register_sensor
