@@ -160,7 +160,9 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
             return (lane,)
 
         (camera_path,) = loop_traced_once(camera_path, lambda lane: lane.active, from_camera, "camera path")
-        sky = scene.environment() is not None and not self.hide_emitters and self.max_depth != 0
+        sky: Any = scene.environment() is not None and not self.hide_emitters and self.max_depth != 0
+        if sky and scene.has_image_circle:
+            sky = ray.maxt > 0
         return camera_path.radiance, camera_path.covered | sky, []
 
     # ---- from the light ----------------------------------------------------------------

@@ -172,7 +172,7 @@ class VolumetricPath(UnidirectionalPath):
             for leaving in (shadow_ray, next_ray):
                 leaving.medium = dr.select(inside, ray.medium, leaving.medium)
         covered = state.covered | inside | (surface & ~crosses)
-        sky = scene.environment() is not None and not self.hide_emitters
+        sky = not self.hide_emitters and scene.covered_by_sky(si)
         return Vertex(
             emitted=emitted,
             reflected=reflected,

@@ -211,19 +211,20 @@ class Geometry:
     def end(self, query: Query) -> tuple[Ray3f, PreliminaryIntersection3f]:
         """The ray of a query whose cursor has come to the end, and its result.
 
-        The ray's origin is moved back by `entry`, which its `t` counts from.
+        The ray's origin is moved back by `entry`, which its `t` counts from. Its `maxt` is the hit, or its end.
         """
         assert self.triangles is not None
         number = query.cursor.hit
         t, origin = query.cursor.t, query.o + self.triangles.tree.center
         if query.entry is not None:
             t, origin = t + query.entry, dr.fma(query.d, -query.entry, origin)
+        ray = Ray3f(origin, query.d, maxt=t)  # of a ray without a hit that is where it ends
         t = dr.select(number != NONE, t, dr.inf)
         near = Near(query.o, query.cursor.t, query.entry, query.cursor.b, query.cursor.inside)
         face = dr.select(number >= ANALYTIC, number & FACE, number + self.first_record)
         face = dr.select(number != NONE, face, 0)
         hit = PreliminaryIntersection3f.found(t, face, self.shape_of(face), near=near)
-        return Ray3f(origin, query.d), hit
+        return ray, hit
 
     # ---- faces -------------------------------------------------------------------------
 

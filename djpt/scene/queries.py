@@ -101,6 +101,8 @@ class SceneQueries(Plugin):
     """The number of the medium that camera rays start in; None if no media are followed."""
     outer_medium: UInt32 | None = None
     """The number of the medium outside of all bodies, if a sensor has one."""
+    has_image_circle = False
+    """Whether some camera rays end where they begin, and see nothing: see `Sensor.has_image_circle`."""
     near_clip_fraction: Float
     """The fraction of a camera ray's `maxt` between the camera and its near plane: see `Sensor.near_clip_fraction`."""
 
@@ -137,6 +139,7 @@ class SceneQueries(Plugin):
     ) -> SurfaceInteraction3f:
         """The surface point of a preliminary intersection; beyond `detail` its parts are unspecified."""
         valid = pi.is_valid()
+        back = dr.select(ray.maxt > 0, -ray.d, 0) if self.has_image_circle else -ray.d
         surface = self.geometry.surface(ray, pi, self.lookup, detail)
         si: SurfaceInteraction3f = SurfaceInteraction3f.holding(
             p=surface.p,
@@ -145,7 +148,7 @@ class SceneQueries(Plugin):
             uv=surface.uv,
             dp_du=surface.dp_du,
             dp_dv=surface.dp_dv,
-            wi=dr.select(valid, surface.sh_frame.to_local(-ray.d), -ray.d),
+            wi=dr.select(valid, surface.sh_frame.to_local(-ray.d), back),
             shape_index=dr.select(valid, pi.shape_index, 0),
             face=pi.face,
             media=ray.media,
@@ -178,7 +181,16 @@ class SceneQueries(Plugin):
 
     def emitter_index_at(self, si: SurfaceInteraction3f) -> UInt32:
         """The number of the emitter seen at `si`; the count of emitters means none."""
-        return self.lights.index_at(si.face, si.is_valid())
+        index = self.lights.index_at(si.face, si.is_valid())
+        return dr.select(self._sees(si), index, UInt32(len(self.lights.ensemble))) if self.has_image_circle else index
+
+    def covered_by_sky(self, si: SurfaceInteraction3f) -> Bool | bool:
+        """Whether the environment, if there is one, is what a ray meets that hits nothing."""
+        return self.lights.environment is not None and (not self.has_image_circle or self._sees(si))
+
+    def _sees(self, si: SurfaceInteraction3f) -> Bool:
+        """False for rays that end where they begin: they come from nowhere."""
+        return si.is_valid() | (dr.squared_norm(si.wi) > 0)
 
     def emitter_at(self, si: SurfaceInteraction3f) -> EmitterPtr:
         """The emitter seen at `si`: that of the shape, or the environment on a miss."""

@@ -365,6 +365,7 @@ class Scene(MitsubaScene):
             view.camera_medium = UInt32(view.media.vacuum)
         if sensor is not None:
             view.geometry = view.geometry.seen_from(sensor.starts())
+            view.has_image_circle = sensor.has_image_circle
             if view.media:
                 view.camera_medium, view.outer_medium = view.media.of_sensor(sensor)
         return view

@@ -64,6 +64,9 @@ class Sensor(SampledRays, Endpoint):
     """The column at which its picture begins there, in pixels."""
     is_attached = False
     """Whether it is a view whose rays are attached: see `attached`."""
+    has_image_circle = False
+    """Whether its film reaches past what the lens shows: rays there have a `maxt` of 0 and meet nothing, not even the
+    environment."""
     one_pixel: ClassVar[bool] = False
     """Whether it measures one number: its film then must have one pixel, and has by default."""
 
@@ -295,7 +298,8 @@ class Sensor(SampledRays, Endpoint):
         """Sample the ray through a position in [0, 1]^2 of the film's crop window, y downwards.
 
         `aperture_sample` in [0, 1)^2 is random only for sensors with `uses_aperture`. The ray's
-        `d` has unit length; its origin and `maxt` lie on the near and far plane where there are any.
+        `d` has unit length; its origin and `maxt` lie on the near and far plane where there are any. Where nothing is
+        shown `maxt` is 0, see `has_image_circle`.
         """
         raise NotImplementedError
 

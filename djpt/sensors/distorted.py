@@ -23,10 +23,13 @@ __all__ = ["COEFFICIENTS", "PIXELS", "DistortedPerspective"]
 
 COEFFICIENTS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
 PIXELS = ("fx", "fy", "cx", "cy")
-STEPS = 7
-"""Steps of Newton's method from a place on the film to a direction."""
+STEPS, STEPS_TO_RIM = 7, 20
+"""Steps of Newton's method from a place on the film to a direction: inside of a picture, and if its rim is on the film,
+where the distortion hardly grows."""
 RESIDUE = 2e-6
 """The largest error, in focal lengths, that they may leave."""
+SHOWN = 0.995
+"""The radius of what the lens shows over that at which the picture folds."""
 
 
 class DistortedPerspective(Perspective):
@@ -41,14 +44,20 @@ class DistortedPerspective(Perspective):
     and `cy` (default: the middle), in pixels of the whole film, from its upper left corner (pixel centres lie at
     halves), in place of `fov` and the principal point. `fov` is that of the ideal image.
 
+    The lens shows the largest disk of the ideal image about the optical axis in which no two directions are shown at
+    the same place. A film that reaches past its picture is black there, with an alpha of 0.
+
     Source: D. C. Brown, "Decentering Distortion of Lenses", Photogrammetric Engineering 32 (1966).
     """
 
     in_any_frame = True
     values: ClassVar[Mapping[str, ParamFlags]] = {
         **Perspective.values,
-        **dict.fromkeys((*COEFFICIENTS, "axis_x", "axis_y", "axis_z", "start", "step"), ParamFlags.NonDifferentiable),
+        **dict.fromkeys(
+            (*COEFFICIENTS, "axis_x", "axis_y", "axis_z", "start", "step", "rim"), ParamFlags.NonDifferentiable
+        ),
     }
+    statics = ("has_image_circle",)
     lens: ClassVar[tuple[str, ...]] = ("pixel_aspect", *COEFFICIENTS)
     motions = (*Perspective.motions, *lens)
 
@@ -65,6 +74,8 @@ class DistortedPerspective(Perspective):
     start: Point2f
     """The point of the image plane that film position (0, 0) shows, in camera space."""
     step: Point2f
+    rim: Float
+    """The radius of what the lens shows, in the ideal image; only if the film reaches past it."""
     axis_x: Vector3f
     axis_y: Vector3f
     axis_z: Vector3f
@@ -98,7 +109,9 @@ class DistortedPerspective(Perspective):
         start, step = self.plane_window(values)
         self.start, self.step = Point2f(*map(as_float, start)), Point2f(*map(as_float, step))
         self.inv_area = as_float(1 / abs(step[0] * step[1]))
-        self.require_inverse(np.array(start), np.array(step))
+        self.has_image_circle, self.rim = False, as_float(1e9)
+        if not self.has_inverse(np.array(start), np.array(step)):
+            self.has_image_circle, self.rim = True, as_float(self.last_radius())
 
     def plane_window(self, values: Mapping[str, Any]) -> tuple[Any, Any]:
         """The film's corner and sides on the plane at distance 1: pairs of numbers, or of `Float`."""
@@ -110,8 +123,8 @@ class DistortedPerspective(Perspective):
         start = [(1 - 2 * (shift[k] + int(offset[k]) / int(size[k]))) * reach[k] for k in range(2)]
         return start, [-2 * reach[k] * (int(crop[k]) / int(size[k])) for k in range(2)]
 
-    def require_inverse(self, start: NDArray[np.float64], step: NDArray[np.float64]) -> None:
-        """Raise `SceneError` if places on the film show no direction, or several."""
+    def has_inverse(self, start: NDArray[np.float64], step: NDArray[np.float64]) -> bool:
+        """Whether each place on the film shows one direction."""
         u = np.linspace(0, 1, 33)
         places = start[:, None] + step[:, None] * np.stack(np.meshgrid(u, u)).reshape(2, -1)
         shown = Point2f(places.astype(np.float32))
@@ -119,11 +132,19 @@ class DistortedPerspective(Perspective):
         again, slopes = self.distorted(ideal)
         determinant = slopes[0] * slopes[2] - dr.square(slopes[1])
         error = float(np.abs(np.array(again) - np.array(shown)).max())
-        if not (error <= RESIDUE * max(1.0, float(np.abs(places).max())) and float(np.array(determinant).min()) > 0):
-            raise SceneError(
-                f"{self.id()}: the distortion folds the picture: near its edge no direction is shown, or several; "
-                "choose smaller coefficients, a smaller 'fov' or a crop"
-            )
+        return error <= RESIDUE * max(1.0, float(np.abs(places).max())) and float(np.array(determinant).min()) > 0
+
+    def last_radius(self) -> float:
+        """The radius of what the lens shows, in the ideal image: a little less than where the picture folds."""
+        radius, angle = np.linspace(0, 20, 4001), np.linspace(0, 2 * math.pi, 48, endpoint=False)
+        places = radius * np.stack([np.cos(angle), np.sin(angle)])[..., None]
+        found, slopes = self.distorted(Point2f(places.reshape(2, -1).astype(np.float32)))
+        determinant = np.array(slopes[0] * slopes[2] - dr.square(slopes[1])).reshape(len(angle), len(radius))
+        folds = ~(determinant > 0).all(axis=0) | ~np.isfinite(np.array(found)).reshape(2, *determinant.shape).all((0, 1))
+        if folds[0]:
+            raise SceneError(f"{self.id()}: the distortion folds the picture at its centre")
+        last = radius[folds.argmax()] if folds.any() else radius[-1]
+        return float(SHOWN * last)
 
     # ---- parameters --------------------------------------------------------------------
 
@@ -181,7 +202,9 @@ class DistortedPerspective(Perspective):
         with dr.suspend_grad():
             fixed = dr.detach(place)
             q = fixed
-            for _ in range(STEPS):
+            if self.has_image_circle:
+                q = q * dr.minimum(1, self.rim * dr.rsqrt(dr.maximum(dr.squared_norm(q), 1e-20)))
+            for _ in range(STEPS_TO_RIM if self.has_image_circle else STEPS):
                 q = self.nearer(q, fixed)
         return self.nearer(dr.detach(q), place)
 
@@ -195,6 +218,26 @@ class DistortedPerspective(Perspective):
         return Point2f(q.x - (yy * dx - xy * dy) * inverse, q.y - (xx * dy - xy * dx) * inverse)
 
     # ---- in kernels --------------------------------------------------------------------
+
+    def in_circle(self, q: Point2f) -> Bool:
+        """Whether an ideal image lies within what the lens shows."""
+        return dr.squared_norm(dr.detach(q)) < dr.square(self.rim)
+
+    def shows(self, film_position: Point2f) -> Bool:
+        """Whether a place on the film shows anything."""
+        place = dr.detach(dr.fma(self.step, film_position, self.start))
+        with dr.suspend_grad():
+            q = self.ideal(place)
+            error = dr.squared_norm(self.distorted(q)[0] - place)
+        return self.in_circle(q) & (error <= dr.square(10 * RESIDUE) * (1 + dr.squared_norm(place)))
+
+    def ray_through(self, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True) -> Ray3f:
+        if not self.has_image_circle:
+            return super().ray_through(film_position, aperture_sample, active)
+        shown = self.shows(film_position)
+        # Beside the picture a ray of no length sets out along the optical axis.
+        ray = super().ray_through(dr.select(shown, film_position, -self.start / self.step), aperture_sample, active)
+        return ray.replaced(maxt=dr.select(shown, ray.maxt, 0))
 
     def through_centre(self, film_position: Point2f) -> Vector3f:
         q = self.ideal(dr.fma(self.step, film_position, self.start))
@@ -214,8 +257,12 @@ class DistortedPerspective(Perspective):
         uv = Point2f((place.x - self.start.x) / self.step.x, (place.y - self.start.y) / self.step.y)
         seen = in_range & (determinant > 0) & (uv.x >= 0) & (uv.x < 1) & (uv.y >= 0) & (uv.y < 1)
         # Far outside, the polynomials may lead back into the picture.
-        back = self.ideal(place)
-        seen &= dr.squared_norm(back - q) < 1e-4 * (1 + dr.squared_norm(q))
+        if self.has_image_circle:
+            seen &= self.in_circle(q)
+            uv = dr.select(self.in_circle(q), uv, -1)
+        else:
+            back = self.ideal(place)
+            seen &= dr.squared_norm(back - q) < 1e-4 * (1 + dr.squared_norm(q))
         length = dr.norm(m)
         ds = DirectionSample3f.of(
             p=dr.fma(m, self.near, self.origin),

@@ -47,7 +47,9 @@ class Fisheye(MappedCamera):
     the middle) in pixels of the whole film, from its upper left corner: pixel centres lie at halves.
     `principal_point_offset_x`, `_y` (0) shift the image's centre, in image widths and heights, as in `perspective`.
 
-    The film's corners may see more than `fov`. Those beyond the last direction that a projection shows are refused.
+    `image_circle` (degrees, at most 360 and by default so much) is the angle of the cone of directions that the lens
+    shows, as far as its projection shows them. The film's corners may see more than `fov`; outside of the circle they
+    are black, with an alpha of 0.
 
     Sources: K. Miyamoto, "Fish Eye Lens", J. Opt. Soc. Am. 54 (1964); J. Kannala, S. Brandt, "A Generic Camera Model
     and Calibration Method for Conventional, Wide-Angle, and Fish-Eye Lenses", IEEE TPAMI 28 (2006).
@@ -55,12 +57,14 @@ class Fisheye(MappedCamera):
 
     values: ClassVar[Mapping[str, ParamFlags]] = {
         **MappedCamera.values,
-        **dict.fromkeys(COEFFICIENTS, ParamFlags.NonDifferentiable),
+        **dict.fromkeys((*COEFFICIENTS, "rim", "last_theta"), ParamFlags.NonDifferentiable),
     }
-    statics = ("projection",)
+    statics = ("projection", "has_image_circle")
     lens = ("x_focal", "y_focal", "principal_point_offset_x", "principal_point_offset_y", *COEFFICIENTS)
     motions = ("attached_matrix", *lens)
     in_any_frame = True
+    last_theta: Float
+    """The angle of the last direction that is shown."""
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
@@ -95,6 +99,7 @@ class Fisheye(MappedCamera):
             focal = 0.5 * reach / rho
             self.x_focal, self.y_focal = Float(focal), Float(focal * width / height)
         self.principal_point_offset_x, self.principal_point_offset_y = map(Float, shift)
+        self._image_circle = props.float("image_circle", 360.0, low=0.0, high=360.0, low_open=True)
         try:
             self.place()
         except SceneError as error:
@@ -102,7 +107,16 @@ class Fisheye(MappedCamera):
 
     # ---- parameters --------------------------------------------------------------------
 
+    def traverse_lens(self, callback: Any) -> None:
+        super().traverse_lens(callback)
+        callback.put("image_circle", self._image_circle, attribute="_image_circle")
+
     def check_parameter(self, name: str, value: Any) -> Any:
+        if name == "image_circle":
+            number = as_number(value)
+            if not 0 < number <= 360:
+                raise ParameterError(f"must lie in (0, 360], found {number:g}")
+            return number
         if name not in self.lens:
             return super().check_parameter(name, value)
         number = as_number(dr.detach(value))
@@ -117,14 +131,17 @@ class Fisheye(MappedCamera):
     def place(self) -> None:
         super().place()
         corner, step = self.window(self.numbers())
-        reach = max(math.hypot(corner[0] + u * step[0], corner[1] + v * step[1]) for u in (0, 1) for v in (0, 1))
-        last = self.last_radius()
-        if not reach <= last:
+        sides = [sorted((corner[k], corner[k] + step[k])) for k in range(2)]
+        furthest = math.hypot(*(max(-low, high) for low, high in sides))
+        nearest = math.hypot(*(max(low, -high, 0) for low, high in sides))
+        theta, rim = self.last_direction()
+        if nearest >= rim:
             raise SceneError(
-                f"the corners of the film see nothing: they are {reach:.4g} focal lengths from the centre, and the "
-                f"last direction of the {self.projection} projection is at {last:.4g}; choose a smaller 'fov', "
-                "or 'fov_axis' 'diagonal', or a crop"
+                f"the film shows nothing: it is at least {nearest:.4g} focal lengths from the centre, and the last "
+                f"direction of the {self.projection} projection is at {rim:.4g}"
             )
+        self.has_image_circle = furthest > rim * (1 + 1e-6)
+        self.rim, self.last_theta = as_float(min(rim, 1e9)), as_float(theta)
 
     def radius(self, theta: float) -> float:
         """The distance from the centre at an angle, in focal lengths."""
@@ -139,17 +156,19 @@ class Fisheye(MappedCamera):
         k = [float(dr.detach(getattr(self, name))[0]) for name in COEFFICIENTS]
         return theta * (1 + sum(c * theta ** (2 * n + 2) for n, c in enumerate(k)))
 
-    def last_radius(self) -> float:
-        """The distance from the centre of the last direction that is shown."""
+    def last_direction(self) -> tuple[float, float]:
+        """The angle of the last direction that is shown, and its distance from the centre."""
+        last = math.radians(self._image_circle) / 2
         if self.projection != "polynomial":
-            return {"equidistant": math.pi, "equisolid": 2.0, "stereographic": math.inf, "orthographic": 1.0}[
-                self.projection
-            ]
+            last = min(last, math.radians(LARGEST_FOV[self.projection]) / 2)
+            endless = self.projection == "stereographic" and last > math.pi - 1e-6
+            return last, math.inf if endless else self.radius(last)
         # As far as the polynomial grows.
-        theta = np.linspace(0, math.pi, 2049)
+        theta = np.linspace(0, last, 2049)
         rho = np.array([self.radius(float(t)) for t in theta])
         falls = np.flatnonzero(np.diff(rho) <= 0)
-        return float(rho[falls[0]] if len(falls) else rho[-1])
+        place = falls[0] if len(falls) else -1
+        return float(theta[place]), float(rho[place])
 
     def window(self, values: Mapping[str, Any]) -> tuple[Any, Any]:
         offset, share = self.film_window()
@@ -187,8 +206,10 @@ class Fisheye(MappedCamera):
             return across * (dr.sqrt(2 * inverse) if self.projection == "equisolid" else 2 * inverse), shown
         sin = dr.sqrt(dr.maximum(dr.squared_norm(across), TINY))
         theta = dr.atan2(sin, d.z)
-        rho = theta if self.projection == "equidistant" else self.polynomial(theta)[0]
-        return across * (rho * dr.rcp(sin)), theta <= self.last_angle()
+        if self.projection == "equidistant":
+            return across * (theta * dr.rcp(sin)), Bool(True)
+        # Beyond its last direction a polynomial may lead back into the picture.
+        return across * (self.polynomial(theta)[0] * dr.rcp(sin)), theta <= self.last_theta
 
     def spread(self, d: Vector3f) -> Float:
         if self.projection == "equisolid":
@@ -203,10 +224,6 @@ class Fisheye(MappedCamera):
             return theta * dr.rcp(sin)
         rho, slope = self.polynomial(theta)
         return rho * slope * dr.rcp(sin)
-
-    def last_angle(self) -> Float:
-        """The angle of the last direction that is shown."""
-        return Float(math.pi)
 
     def polynomial(self, theta: Float) -> tuple[Float, Float]:
         """The distance from the centre at an angle, and its derivative."""
@@ -224,7 +241,8 @@ class Fisheye(MappedCamera):
         with dr.suspend_grad():
             fixed = dr.detach(rho)
             theta = dr.minimum(fixed, math.pi)
-            for _ in range(STEPS):
+            # Near the last direction the polynomial hardly grows.
+            for _ in range(2 * STEPS if self.has_image_circle else STEPS):
                 theta = dr.clip(self.next_angle(theta, fixed), 0, math.pi)
         theta = dr.detach(theta)
         return self.next_angle(theta, rho)

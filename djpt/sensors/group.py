@@ -51,6 +51,10 @@ class SensorGroup(Sensor):
     def members(self) -> Sequence[Any]:
         return [member for sensor in self.sensors for member in sensor.members()]
 
+    @property
+    def has_image_circle(self) -> bool:  # type: ignore[override]
+        return any(sensor.has_image_circle for sensor in self.sensors)
+
     def attached_names(self) -> list[str]:
         return [name for sensor in self.sensors for name in sensor.attached_names()]
 

@@ -65,6 +65,10 @@ class ImmersedPerspective(DistortedPerspective):
             raise ParameterError(f"must be greater than 0, found {number:g}")
         return as_float(number)
 
+    def last_radius(self) -> float:
+        """All directions ahead; a thinner medium shows them within the critical angle."""
+        return 1e4
+
     def distorted(self, q: Point2f) -> tuple[Point2f, tuple[Float, Float, Float]]:
         """The place on the image plane of a direction outside, and the derivatives xx, xy and yy."""
         more = dr.square(self.eta) - 1

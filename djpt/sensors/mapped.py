@@ -28,6 +28,9 @@ class MappedCamera(ProjectiveCamera):
     which the film shows a rectangle (`window`): `to_direction`, its inverse `to_plane`, and how much larger areas of
     the plane are than solid angles (`spread`).
 
+    Film positions outside of the circle of directions that the lens shows see nothing: they are black, with an alpha of
+    0.
+
     Parameters, besides those of all sensors: `near_clip` (0.01) and `far_clip` (10000), distances from the camera: rays
     start at the one and end at the other.
     """
@@ -52,6 +55,8 @@ class MappedCamera(ProjectiveCamera):
     """The way on the plane from there to what (1, 1) shows."""
     near: Float
     depth: Float
+    rim: Float
+    """The radius on the plane of the circle of what the lens shows; only if the film reaches past it."""
 
     # ---- the map -----------------------------------------------------------------------
 
@@ -126,8 +131,16 @@ class MappedCamera(ProjectiveCamera):
         return Vector3f(dr.dot(d, self.axis_x), dr.dot(d, self.axis_y), dr.dot(d, self.axis_z))
 
     def ray_through(self, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True) -> Ray3f:
-        d = self.to_world_space(self.to_direction(dr.fma(self.step, film_position, self.corner)))
-        return Ray3f(dr.fma(d, self.near, self.origin), d, maxt=self.depth)
+        q, maxt = dr.fma(self.step, film_position, self.corner), self.depth
+        if self.has_image_circle:
+            shown = self.in_circle(q)
+            q, maxt = dr.select(shown, q, 0), dr.select(shown, maxt, 0)
+        d = self.to_world_space(self.to_direction(q))
+        return Ray3f(dr.fma(d, self.near, self.origin), d, maxt=maxt)
+
+    def in_circle(self, q: Point2f) -> Bool:
+        """Whether a point of the plane lies within the circle of what the lens shows."""
+        return dr.squared_norm(dr.detach(q)) <= dr.square(dr.detach(self.rim))
 
     def sample_wi(
         self, ref: Point3f, aperture_sample: Point2f, active: Bool | bool = True
@@ -140,6 +153,9 @@ class MappedCamera(ProjectiveCamera):
         local = self.to_camera_space(d)
         q, mapped = self.to_plane(local)
         uv = Point2f((q.x - self.corner.x) / self.step.x, (q.y - self.corner.y) / self.step.y)
+        if self.has_image_circle:
+            mapped = mapped & self.in_circle(q)
+            uv = dr.select(mapped, uv, -1)
         in_range = (distance > self.near) & (distance < self.near + self.depth)
         seen = mapped & shown & in_range & (uv.x >= 0) & (uv.x < 1) & (uv.y >= 0) & (uv.y < 1)
         ds = DirectionSample3f.of(

@@ -39,6 +39,7 @@ class SampledRays:
     if TYPE_CHECKING:
         weight: float
         uses_aperture: bool
+        has_image_circle: bool
         has_neighbours: ClassVar[bool]
         carrier: Any
 
@@ -63,7 +64,7 @@ class SampledRays:
         sample3: Point2f,
         active: Bool | bool = True,
     ) -> tuple[Ray3f, Color3f]:
-        """Sample a ray of the sensor, and its weight.
+        """Sample a ray of the sensor, and its weight, which is 0 where the lens shows nothing.
 
         Args:
             time: the ray's time.
@@ -75,7 +76,8 @@ class SampledRays:
         ray = self.ray_through(Point2f(sample2), Point2f(sample3), active)
         timed: Any = ray
         timed.time = Float(time)
-        return self.carried(timed), Color3f(self.weight)
+        weight = Color3f(self.weight)
+        return self.carried(timed), dr.select(ray.maxt > 0, weight, 0) if self.has_image_circle else weight
 
     def sample_ray_differential(
         self,

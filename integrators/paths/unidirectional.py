@@ -116,7 +116,7 @@ class UnidirectionalPath(Terminating, PathIntegrator):
 
     def counts(self, scene: Scene, state: PathState, si: SurfaceInteraction3f, bs: BSDFSample3f) -> Bool:
         """True where the sample counts as covered, if the path ends here."""
-        sky = self.covers_sky and scene.environment() is not None and not self.hide_emitters
+        sky = self.covers_sky and not self.hide_emitters and scene.covered_by_sky(si)
         covered = self.covered(state, si, has_flag(bs.sampled_type, BSDFFlags.Null))
         return (covered | sky) & Bool(self.max_depth != 0)
 

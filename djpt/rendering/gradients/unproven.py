@@ -236,6 +236,14 @@ def hidden_by(shape: Any, rendering: Rendering) -> Iterator[str]:
         yield "light of other surfaces"
 
 
+def image_circles(rendering: Rendering) -> Iterator[str]:
+    """Cameras with a circle on the film outside of which nothing is shown, and whose lens has gradients."""
+    for camera in [] if rendering.camera is None else rendering.camera.members():
+        names = [name for name in camera.attached_names() if name != "attached_matrix"]
+        if camera.has_image_circle and names:
+            yield f"{named(camera)} with gradients with respect to '{names[0].lstrip('_')}'"
+
+
 def shifted(box: tuple[Any, Any], by: Any) -> tuple[Any, Any]:
     """A box elsewhere."""
     return box[0] + by, box[1] + by
@@ -283,6 +291,12 @@ CASES: tuple[Case, ...] = (
         "the sides of its beam aren't followed",
         "use a 'spot' light whose 'beam_width' is less than its 'cutoff_angle', or a small area light",
         bounded_beams,
+    ),
+    Case(
+        "a camera whose image circle changes its place on the film",
+        "the edge of the circle isn't followed",
+        "choose a smaller field of view, or a crop, that leaves the dark corners out",
+        image_circles,
     ),
     Case(
         "a light that moves or turns, rendered by paths that begin at lights",
