@@ -161,7 +161,7 @@ class ADIntegrator(Integrator):
             color, valid, aovs, _ = self.sample(
                 **modes(dr.ADMode.Primal, scene, sampler, ray), δL=None, δaovs=None, state_in=None
             )
-            self.splat(camera, spp, position, color * weight, valid, aovs)
+            self.splat(camera, spp, position, color * weight, covered(camera, weight, valid), aovs)
             if not develop:
                 return TensorXf()
             image = camera.film().develop()
@@ -207,8 +207,13 @@ class ADIntegrator(Integrator):
                 color, valid, aovs, _ = self.sample(
                     **modes(mode, scene, sampler, ray), δL=None, δaovs=None, state_in=None
                 )
-                self.splat(camera, spp, position, color * weight, valid, aovs)
+                self.splat(camera, spp, position, color * weight, covered(camera, weight, valid), aovs)
                 return camera.film().develop()
+
+
+def covered(sensor: Sensor, weight: Color3f, valid: Any) -> Any:
+    """Whether samples count as covered: not where the lens shows nothing, see `Sensor.has_image_circle`."""
+    return Bool(valid) & (weight.x > 0) if sensor.has_image_circle else valid
 
 
 CppADIntegrator = ADIntegrator
@@ -233,7 +238,8 @@ class RBIntegrator(ADIntegrator):
             change, valid, changes, _ = self.sample(
                 **modes(dr.ADMode.Forward, scene, sampler, ray), δL=None, δaovs=None, state_in=state
             )
-            self.splat(camera, spp, position, change * weight, valid, [c * weight.x for c in changes])
+            covers = covered(camera, weight, valid)
+            self.splat(camera, spp, position, change * weight, covers, [c * weight.x for c in changes])
             return camera.film().develop()
 
     def render_backward(

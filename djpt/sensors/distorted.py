@@ -14,7 +14,7 @@ from djpt.core.numeric import as_number
 from djpt.core.records import DirectionSample3f, Ray3f
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
-from djpt.errors import ParameterError, SceneError
+from djpt.errors import ParameterError
 from djpt.jit.kernels import as_float
 from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.sensors.perspective import OFFSETS, Perspective
@@ -140,9 +140,9 @@ class DistortedPerspective(Perspective):
         places = radius * np.stack([np.cos(angle), np.sin(angle)])[..., None]
         found, slopes = self.distorted(Point2f(places.reshape(2, -1).astype(np.float32)))
         determinant = np.array(slopes[0] * slopes[2] - dr.square(slopes[1])).reshape(len(angle), len(radius))
-        folds = ~(determinant > 0).all(axis=0) | ~np.isfinite(np.array(found)).reshape(2, *determinant.shape).all((0, 1))
-        if folds[0]:
-            raise SceneError(f"{self.id()}: the distortion folds the picture at its centre")
+        folds = ~(determinant > 0).all(axis=0) | ~np.isfinite(np.array(found)).reshape(2, *determinant.shape).all(
+            (0, 1)
+        )
         last = radius[folds.argmax()] if folds.any() else radius[-1]
         return float(SHOWN * last)
 

@@ -181,16 +181,13 @@ def test_edits_compile_nothing(name: str) -> None:
 @pytest.mark.parametrize(
     ("entries", "message"),
     [
-        ({"type": "fisheye", "projection": "orthographic"}, "the corners of the film see nothing: .* choose a smaller"),
         ({"type": "fisheye", "projection": "equisoli"}, "did you mean 'equisolid'"),
         ({"type": "fisheye", "fov": 400}, r"'fov' must lie in \(0, 360\)"),
         ({"type": "fisheye", "k1": 0.1, "projection": "equisolid"}, "'projection' can't be given together with 'k1'"),
         ({"type": "fisheye", "fx": 100, "fov": 90}, "'fov' can't be given together with a focal length in pixels"),
-        ({"type": "fisheye", "k1": -0.9}, "the corners of the film see nothing"),
         ({"type": "panorama", "azimuth_to": 190}, "'azimuth_to' must be at most 360 more"),
         ({"type": "panorama", "elevation_to": 91}, r"'elevation_to' must lie in \[-90, 90\]"),
         ({"type": "panorama", "eye": "lef"}, "did you mean 'left'"),
-        ({"type": "perspective", "fov": 90, "k1": -0.5}, "the distortion folds the picture"),
         ({"type": "perspective", "fov": 90, "fx": 100}, "'fx' can't be given together with 'fov'"),
         ({"type": "perspective", "k7": 0.1}, "unknown key 'k7'"),
     ],

@@ -524,8 +524,6 @@ CASES |= {
         ("step aside", "the light of a point", shift("sensor.to_world")),
         ("tilt", "a globe", edit("sensor.tilt", 40)),
         ("swing", "the light of a point", edit("sensor.swing", 40)),
-        ("turned blades", "a globe", edit("sensor.aperture_rotation", 60)),
-        ("roundness", "a globe", edit("sensor.aperture_roundness", 2)),
         ("shift", "a globe", edit("sensor.principal_point_offset_x", 0.3)),
     )
 }
