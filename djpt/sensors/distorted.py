@@ -139,10 +139,9 @@ class DistortedPerspective(Perspective):
         radius, angle = np.linspace(0, 20, 4001), np.linspace(0, 2 * math.pi, 48, endpoint=False)
         places = radius * np.stack([np.cos(angle), np.sin(angle)])[..., None]
         found, slopes = self.distorted(Point2f(places.reshape(2, -1).astype(np.float32)))
-        determinant = np.array(slopes[0] * slopes[2] - dr.square(slopes[1])).reshape(len(angle), len(radius))
-        folds = ~(determinant > 0).all(axis=0) | ~np.isfinite(np.array(found)).reshape(2, *determinant.shape).all(
-            (0, 1)
-        )
+        determinant = np.array(slopes[0] * slopes[2] - dr.square(slopes[1]))
+        grows = (determinant > 0) & np.isfinite(np.array(found)).all(axis=0)
+        folds = ~grows.reshape(len(angle), len(radius)).all(axis=0)
         last = radius[folds.argmax()] if folds.any() else radius[-1]
         return float(SHOWN * last)
 

@@ -11,7 +11,7 @@ from djpt import ScalarTransform4f as T
 from djpt.images.sheets import Tile, captioned_sheet, shown
 from places import IMAGES
 
-__all__ = ["cameras", "samplers", "tonemapping", "under_water", "wide"]
+__all__ = ["cameras", "lenses", "samplers", "tonemapping", "under_water", "wide"]
 
 
 def cameras() -> None:
@@ -32,6 +32,54 @@ def cameras() -> None:
         lamp = {"type": "sphere", "center": [float(x), 1.2, 2.0], "radius": 0.02}
         scene[f"lamp{i}"] = {**lamp, "emitter": {"type": "area", "radiance": color}}
     djpt.write(IMAGES / "cameras.png", djpt.render(djpt.load_dict(scene), spp=2048))
+
+
+def lenses() -> None:
+    """Lamps out of focus through three apertures, and a floor through a lens that is tilted and through one that isn't."""
+    rng = np.random.default_rng(5)
+    night: dict[str, Any] = {"type": "scene", "integrator": {"type": "path", "max_depth": 2}}
+    for i in range(16):
+        x, y = rng.uniform(-2, 2, 2)
+        lamp = {"type": "sphere", "center": [x, y, rng.uniform(7, 9)], "radius": 0.06}
+        color = {"type": "rgb", "value": (rng.dirichlet([1.5, 1.5, 1.5]) * rng.uniform(40, 150)).tolist()}
+        night[f"lamp{i}"] = {**lamp, "emitter": {"type": "area", "radiance": color}}
+    film = {"type": "hdrfilm", "width": 210, "height": 210, "rfilter": {"type": "box"}}
+    lens = {"type": "thinlens", "fov": 30, "aperture_radius": 0.3, "focus_distance": 2.5, "film": film}
+    down = 25
+    table: dict[str, Any] = {
+        "type": "scene",
+        "integrator": {"type": "path", "max_depth": 4},
+        "sky": {"type": "constant", "radiance": 0.9},
+        "floor": {
+            "type": "rectangle",
+            "to_world": T().rotate([1, 0, 0], -90).scale(12),
+            "bsdf": {
+                "type": "diffuse",
+                "reflectance": {"type": "checkerboard", "to_uv": T().scale([24, 24, 1]), "color0": 0.7, "color1": 0.25},
+            },
+        },
+    }
+    for i, (x, z) in enumerate((x, z) for z in (-3, -1, 1, 3, 5) for x in (-2, -1, 0, 1, 2)):
+        clay = {"type": "rgb", "value": [[0.75, 0.3, 0.15], [0.2, 0.4, 0.6]][i % 2]}
+        place = T().translate([x + 0.25, 0.06, z + 0.25]).scale([0.18, 0.06, 0.18])
+        table[f"stone{i}"] = {"type": "cube", "to_world": place, "bsdf": {"type": "diffuse", "reflectance": clay}}
+    height = 2.4
+    distance = height / np.sin(np.radians(down))
+    eye = T().translate([0, height, -distance * np.cos(np.radians(down))]).rotate([1, 0, 0], down)
+    above = {**lens, "fov": 45, "aperture_radius": 0.25, "focus_distance": float(distance), "to_world": eye}
+
+    def tile(title: str, subtitle: str, scene: dict[str, Any], camera: dict[str, Any], spp: int) -> Tile:
+        image = djpt.render(djpt.load_dict({**scene, "camera": camera}), spp=spp)
+        return Tile(title, subtitle, shown(np.array(image)))
+
+    tiles = [
+        tile("five blades", "", night, {**lens, "aperture_blades": 5}, 2048),
+        tile("six blades", "rotation 15", night, {**lens, "aperture_blades": 6, "aperture_rotation": 15}, 2048),
+        tile("five blades", "roundness 0.6", night, {**lens, "aperture_blades": 5, "aperture_roundness": 0.6}, 2048),
+        tile("no tilt", "sharp in a plane across the axis", table, above, 256),
+        tile(f"tilt {90 - down}", "the floor is sharp all over", table, {**above, "tilt": 90 - down}, 256),
+    ]
+    djpt.write(IMAGES / "lenses.png", captioned_sheet(tiles))
 
 
 def wide() -> None:
