@@ -35,7 +35,7 @@ def cameras() -> None:
 
 
 def lenses() -> None:
-    """Lamps out of focus through three apertures, and a floor through a lens that is tilted and through one that isn't."""
+    """Lamps out of focus through three apertures; a floor through a lens without and with tilt."""
     rng = np.random.default_rng(5)
     night: dict[str, Any] = {"type": "scene", "integrator": {"type": "path", "max_depth": 2}}
     for i in range(16):
