@@ -157,10 +157,16 @@ SENSORS: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("name", own("sensor"))
+LENSES: dict[str, dict[str, Any]] = {
+    "tilted lens": {**SENSORS["thinlens"], "type": "thinlens", "tilt": 30, "aperture_blades": 5},
+    "distorting lens": {**SENSORS["perspective"], "type": "perspective", "k1": -0.1},
+}
+
+
+@pytest.mark.parametrize("name", [*own("sensor"), *LENSES])
 def test_sensors_move(name: str) -> None:
     """Rays start at the point in the frame of their starts, in the same directions."""
-    sensor = {"type": name, **SENSORS[name]}
+    sensor = LENSES[name] if name in LENSES else {"type": name, **SENSORS[name]}
     if name == "irradiancemeter":
         plugin = djpt.load_dict({"type": "rectangle", "to_world": RIGID, "sensor": sensor | BOX}).sensor()
     else:
