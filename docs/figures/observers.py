@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+import tempfile
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +14,7 @@ from djpt import ScalarTransform4f as T
 from djpt.images.sheets import Tile, captioned_sheet, shown
 from places import IMAGES
 
-__all__ = ["cameras", "lenses", "samplers", "tonemapping", "under_water", "wide"]
+__all__ = ["cameras", "lenses", "photographs", "samplers", "tonemapping", "under_water", "wide"]
 
 
 def cameras() -> None:
@@ -104,6 +107,34 @@ def wide() -> None:
         picture({**lens, "k1": 0.6}),
     ]
     djpt.write(IMAGES / "wide-angles.png", np.vstack([np.hstack(above), np.hstack(below)]))
+
+
+def photographs() -> None:
+    """Photographs of the Cornell box by a lens that distorts; below, the box as a search begins, and as it ends."""
+    room = djpt.cornell_box()
+    room.pop("sensor")
+    lens = {"w": 200, "h": 200, "fl_x": 270.0, "fl_y": 270.0, "cx": 100.0, "cy": 100.0, "k1": -0.3, "k2": 0.08}
+    frames = []
+    for i, x in enumerate((-1.6, 0.0, 1.6)):
+        place = T().look_at(origin=[x, 0.3 * (1 - abs(x)), 3.4], target=[0, 0, 0], up=[0, 1, 0])
+        frames.append({"file_path": f"{i}.exr", "transform_matrix": (place.matrix * [-1, 1, -1, 1]).tolist()})
+    keys = [f"{wall}.reflectance.value" for wall in ("red", "green")]
+    with tempfile.TemporaryDirectory() as folder:
+        Path(folder, "transforms.json").write_text(json.dumps({**lens, "frames": frames}))
+        views = djpt.load_cameras(folder)
+        truth = np.array(djpt.render(djpt.load_dict({**room, "sensor": views.batch()}), spp=512))
+        for i, picture in enumerate(np.split(truth, 3, axis=1)):
+            djpt.write(Path(folder, f"{i}.exr"), np.ascontiguousarray(picture))
+        views = djpt.load_cameras(folder)
+        scene = djpt.load_dict({**room, "sensor": views.batch(), "small": views.resized(25).batch()})
+        params = djpt.traverse(scene)
+        params.update(dict.fromkeys(keys, djpt.Color3f(0.5)))
+        rows = [views.strip(), np.array(djpt.render(scene, spp=256))]
+        options = {"views": [1], "iterations": 24, "spp": 64, "optimizer": "gauss_newton"}
+        found = djpt.optimize(scene, keys, [views.resized(25).strip()], **options)
+        params.update(found.average)
+        rows.append(np.array(djpt.render(scene, spp=256)))
+    djpt.write(IMAGES / "photographs.png", np.vstack(rows))
 
 
 def samplers() -> None:
