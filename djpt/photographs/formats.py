@@ -27,7 +27,7 @@ def load_cameras(
     size: tuple[int, int] | None = None,
     points: bool = False,
 ) -> Photographs:
-    """Read the cameras with which photographs were taken.
+    """Read the cameras with which photographs were taken. For example::
 
         photographs = djpt.load_cameras("fox/transforms.json").resized(135)
         scene = djpt.load_dict({"type": "scene", **photographs.sensors(), ..})
