@@ -352,10 +352,16 @@ class Materials:
             return None
         sigma = np.minimum(-np.log(color) / distance, 1e6)
         # Free paths of a colour that isn't absorbed at all would be infinite, and their transmittance undefined.
-        sigma = np.maximum(sigma, 1e-6 * sigma.max())
+        scale = float(sigma.max())
+        relative = np.maximum(sigma / scale, 1e-6).tolist()  # Mitsuba takes colours up to 1 here
 
         def medium() -> dict[str, Any]:
-            return {"type": "homogeneous", "albedo": 0.0, "sigma_t": {"type": "rgb", "value": sigma.tolist()}}
+            return {
+                "type": "homogeneous",
+                "albedo": 0.0,
+                "sigma_t": {"type": "rgb", "value": relative},
+                "scale": scale,
+            }
 
         return self._named(f"medium_{number}", ("medium", number), medium)
 

@@ -89,7 +89,8 @@ def test_a_volume_absorbs_what_its_colour_says(tmp_path):
         "KHR_materials_volume": volume,
     }
     model = read(file, tmp_path)
-    sigma = np.array(model.nodes[model.parts[0].interior]["sigma_t"]["value"])
+    medium = model.nodes[model.parts[0].interior]
+    sigma = medium["scale"] * np.array(medium["sigma_t"]["value"])
     assert np.allclose(np.exp(-2 * sigma), [0.5, 1, 0.25])
     assert bsdf(model)["type"] == "principled" and bsdf(model)["spec_trans"] == 1
 
