@@ -14,7 +14,8 @@ from djpt.errors import FileError, SceneError, near_miss
 
 __all__ = ["SUFFIXES", "is_model", "load_file", "read_model"]
 
-SUFFIXES = (".glb", ".gltf", ".obj", ".stl", ".off", ".3mf", ".ply")
+USD = (".usd", ".usda", ".usdc", ".usdz")
+SUFFIXES = (".glb", ".gltf", ".obj", ".stl", ".off", ".3mf", ".ply", *USD)
 """The suffixes of model files."""
 
 STAGE = ("up", "camera", "stage")
@@ -32,6 +33,10 @@ def reader_of(suffix: str) -> Callable[..., Any]:
         from djpt.models.gltf import read_gltf
 
         return read_gltf
+    if suffix in USD:
+        from djpt.models.usd import read_usd
+
+        return read_usd
     from djpt.models.meshes import read_mesh
 
     return read_mesh
@@ -120,7 +125,7 @@ def load_file(
     root: str | os.PathLike[str] | None = None,
     **parameters: Any,
 ) -> Any:
-    """Build a scene from a file: Mitsuba's XML, or a model (glTF, OBJ, STL, OFF, 3MF, PLY).
+    """Build a scene from a file: Mitsuba's XML, or a model (glTF, OBJ, STL, OFF, 3MF, PLY, USD).
 
     Of an XML file the outermost tag may be any plugin. File names in it are looked up in its own directory first, then
     in the working directory. A model gets a camera that frames it, unless it has one, and a sky and a ground where

@@ -7,21 +7,19 @@ from __future__ import annotations
 
 import base64
 import binascii
-import io
 import json
 import math
 import struct
-import warnings
 from typing import Any
 from urllib.parse import unquote
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
-from djpt.core.limits import MAX_NUMBERS, NUMBERS_PER_BYTE
+from djpt.core.limits import MAX_NUMBERS
 from djpt.errors import FileError, SceneError
 from djpt.models.folder import Folder
+from djpt.models.images import decoded_image
 
 __all__ = ["GltfFile", "integer", "numbers", "scalar"]
 
@@ -241,32 +239,9 @@ class GltfFile:
         data = (
             bytes(self.view(node["bufferView"])[0]) if "bufferView" in node else self.bytes_of(node.get("uri"), where)
         )
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                picture: Any = Image.open(io.BytesIO(data), formats=("PNG", "JPEG", "WEBP"))
-                if picture.width * picture.height * 4 > max(MAX_NUMBERS, NUMBERS_PER_BYTE * len(data)):
-                    raise self.error(f"{where} has {picture.width} x {picture.height} pixels, too many for its size")
-                scale = largest / max(picture.size)
-                if scale < 1:
-                    size = tuple(max(1, round(extent * scale)) for extent in picture.size)
-                    picture.draft("RGB", size)  # JPEG only: decoded at a fraction of the size
-                mode = picture.mode
-                if mode.startswith("I;16"):
-                    grey = (np.asarray(picture, np.uint16) >> 8).astype(np.uint8)
-                    picture = Image.fromarray(grey)
-                picture = picture.convert("RGBA")
-                if scale < 1:
-                    picture = picture.resize(size, Image.Resampling.BOX)
-                pixels = np.array(picture)
-        except SceneError:
-            raise
-        except MemoryError:
-            raise self.error(f"{where} doesn't fit into memory") from None
-        except Exception as error:  # decoders fail in many ways
-            raise self.error(f"{where} can't be read: {error}") from None
+        pixels, smaller = decoded_image(data, largest, f"{self.name}: {where}")
         self._images[index] = pixels
-        return pixels, scale < 1
+        return pixels, smaller
 
 
 def integer(value: Any) -> int:

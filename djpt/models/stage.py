@@ -66,11 +66,64 @@ def staged(model: Model, *, up: str | None = None, camera: int | None = 0, stage
     scene |= model.nodes
     for number, part in enumerate(model.parts):
         add_part(scene, part, number)
-    scene |= model.lights
+    scene |= exposed(model, center, radius)
     near = any(light["type"] != "directional" for light in model.lights.values())
     if stage if stage is not None else not near:
         scene |= surroundings(low, high, turn)
     return scene
+
+
+# ---- lights ----------------------------------------------------------------------------------
+
+EXPOSED = 3.0
+"""The irradiance of a well exposed picture: grey surfaces are half white."""
+LATITUDE = 30.0
+"""How far from it the irradiance by a file's lights may be, as a factor."""
+
+
+def exposed(model: Model, center: Matrix, radius: float) -> dict[str, dict[str, Any]]:
+    """The lights of the file; scaled alike, with a warning, if pictures by them would be black or white.
+
+    Files give strengths in units of their own, or for a camera with an exposure.
+    """
+    total = sum(irradiance(light, center, radius) for light in model.lights.values())
+    if not 0 < total < math.inf or 1 / LATITUDE <= total / EXPOSED <= LATITUDE:
+        return model.lights
+    factor = EXPOSED / total
+    model.say(f"lights are scaled by {factor:.3g}: pictures by those of the file would be black or white")
+    return {name: dimmed(light, factor) for name, light in model.lights.items()}
+
+
+def irradiance(light: dict[str, Any], center: Matrix, radius: float) -> float:
+    """Roughly the irradiance by a light at the centre of the model, facing it, without shadows."""
+
+    def mean(node: Any) -> float:
+        return float(np.mean(node["value"]))
+
+    kind = light["type"]
+    if kind == "directional":
+        return mean(light["irradiance"])
+    if kind == "envmap":
+        return math.pi * float(light.get("scale", 1.0))
+    if kind == "constant":
+        return math.pi * mean(light["radiance"])
+    place = light["position"] if kind == "point" else np.asarray(light["to_world"].matrix)[:3, 3]
+    squared = max(float(np.sum((np.asarray(place) - center) ** 2)), (0.25 * radius) ** 2, 1e-30)
+    if "emitter" in light:
+        sides = np.linalg.norm(np.asarray(light["to_world"].matrix)[:3, :3], axis=0)
+        area = (4.0 if kind == "rectangle" else math.pi) * float(sides[0] * sides[1])
+        return mean(light["emitter"]["radiance"]) * area / squared
+    return mean(light["intensity"]) / squared
+
+
+def dimmed(light: dict[str, Any], factor: float) -> dict[str, Any]:
+    """A light `factor` times as strong."""
+    if "emitter" in light:
+        return {**light, "emitter": dimmed(light["emitter"], factor)}
+    if light["type"] == "envmap":
+        return {**light, "scale": factor * float(light.get("scale", 1.0))}
+    key = next(key for key in ("irradiance", "intensity", "radiance") if key in light)
+    return {**light, key: {**light[key], "value": [factor * x for x in light[key]["value"]]}}
 
 
 def upright(up: Matrix) -> Matrix:
