@@ -8,7 +8,10 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.models.folder import Folder
 from djpt.models.formats import read_model
+from djpt.models.stage import staged
+from djpt.models.usd_stage import read_stage
 from tests.kit.gltf import png
 
 pytest.importorskip("pxr")
@@ -62,9 +65,9 @@ def usda(body, head=""):
     return f"#usda 1.0\n{head}\n{body}".replace("}", "\n}")
 
 
-def read(folder, body, head='(upAxis = "Z")', name="a.usda", **parameters):
+def read(folder, body, head='(upAxis = "Z")', name="a.usda", time=None):
     (folder / name).write_text(usda(body, head))
-    return read_model(folder / name, **parameters)
+    return staged(read_stage(Folder(folder), name, time, 2048))
 
 
 def test_a_quad_is_two_triangles_that_stand_upright(tmp_path):
@@ -189,9 +192,23 @@ def test_layers_and_textures_outside_of_the_folder_are_not_read(tmp_path):
     assert node["bsdf"]["bsdf"]["base_color"]["type"] == "rgb"
 
 
-@pytest.mark.parametrize("data", [b"", b"#usda 1.0\ndef", b"PXR-USDC" + bytes(80), b"PK\3\4" + bytes(40)])
-def test_damaged_files_are_errors(tmp_path, data):
-    for suffix in ("usd", "usda", "usdc", "usdz"):
-        (tmp_path / f"a.{suffix}").write_bytes(data)
-        with pytest.raises(djpt.DjptError, match=f"a.{suffix}"):
-            read_model(tmp_path / f"a.{suffix}")
+@pytest.mark.parametrize(
+    ("suffix", "data"), [("usd", b""), ("usda", b"#usda 1.0\ndef"), ("usdc", b"PXR-USDC" + bytes(80)), ("usdz", b"PK")]
+)
+def test_damaged_files_are_errors(tmp_path, suffix, data):
+    (tmp_path / f"a.{suffix}").write_bytes(data)
+    with pytest.raises(djpt.DjptError, match=f"a.{suffix}"):
+        read_model(tmp_path / f"a.{suffix}")
+
+
+def test_a_process_that_dies_is_an_error(tmp_path, monkeypatch):
+    (tmp_path / "a.usda").write_text("#usda 1.0\n")
+    monkeypatch.setattr("djpt.models.usd.CHILD", "import os; os.abort()")
+    with pytest.raises(djpt.SceneError, match="the library ended with the code -6"):
+        read_model(tmp_path / "a.usda")
+
+
+def test_what_is_said_in_the_process_is_said_here(tmp_path):
+    (tmp_path / "a.usda").write_text(usda(f'def Mesh "A" {{{QUAD.replace("none", "loop")}}}'))
+    with pytest.warns(UserWarning, match="a.usda: subdivision surfaces are rendered as their cages"):
+        read_model(tmp_path / "a.usda")

@@ -30,7 +30,9 @@ __all__ = [
 
 Decorated = TypeVar("Decorated", bound=Callable[..., object])
 
-SCENE = "SCENE is an XML file, a model (glb, gltf, obj, stl, off, 3mf, ply), or a built-in scene; see 'djpt scenes'."
+SCENE = (
+    "SCENE is an XML file, a model (glb, gltf, obj, stl, off, 3mf, ply, usd), or a built-in scene; see 'djpt scenes'."
+)
 """The end of the help of a command."""
 
 
