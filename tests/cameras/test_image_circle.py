@@ -176,14 +176,16 @@ def test_derivatives_are_those_of_differences(kind: str, mesh: bool) -> None:
         params[key] = kind(0.5)
 
 
-def test_a_circle_that_moves_has_no_derivatives() -> None:
+@pytest.mark.parametrize("key", ["sensor.x_focal", "sensor.to_world", "ball.to_world"])
+def test_derivatives_by_motion_are_refused(key: str) -> None:
+    """Of the camera, its lens and what it sees: outlines and shadows end at the edge of the circle."""
     scene = djpt.load_dict(described("equidistant", {"type": "prb_projective", "max_depth": 3}))
     params = djpt.traverse(scene)
-    focal = Float(params["sensor.x_focal"])
-    dr.enable_grad(focal)
-    params["sensor.x_focal"] = focal
+    value = Float(params[key]) if "focal" in key else djpt.Transform4f(params[key])
+    dr.enable_grad(value if "focal" in key else value.matrix)
+    params[key] = value
     params.update()
-    with pytest.raises(RenderError, match="'x_focal', and the edge of the circle isn't followed"):
+    with pytest.raises(RenderError, match=r"'sensor' .fisheye. leaves a part of its film dark, and how outlines cross"):
         dr.backward(dr.sum(djpt.render(scene, params, spp=1), axis=None))
 
 

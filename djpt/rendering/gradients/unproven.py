@@ -47,6 +47,8 @@ class Rendering:
     """The shapes whose place has gradients; not clouds of ellipsoids, which have no silhouettes by definition."""
     seen: tuple[Any, ...]
     """All shapes that rays can hit; an instance stands for its group."""
+    sensor: Sensor | None
+    """The sensor, if it is known."""
     camera: Sensor | None
     """The sensor, if its place has gradients."""
     lights: tuple[Any, ...]
@@ -60,7 +62,7 @@ class Rendering:
         seen = tuple(s for s in shapes if s.class_name() != "ShapeGroup")
         camera = sensor if sensor and sensor.attached_names() else None
         lights = tuple(e for e in scene.emitters() if e.is_moving() and has_flag(e.flags(), EmitterFlags.Delta))
-        return Rendering(scene, integrator, moving, seen, camera, lights)
+        return Rendering(scene, integrator, moving, seen, sensor, camera, lights)
 
     def movers(self) -> tuple[Any, ...]:
         """What moves with gradients."""
@@ -237,11 +239,10 @@ def hidden_by(shape: Any, rendering: Rendering) -> Iterator[str]:
 
 
 def image_circles(rendering: Rendering) -> Iterator[str]:
-    """Cameras with a circle on the film outside of which nothing is shown, and whose lens has gradients."""
-    for camera in [] if rendering.camera is None else rendering.camera.members():
-        names = [name for name in camera.attached_names() if name != "attached_matrix"]
-        if camera.has_image_circle and names:
-            yield f"{named(camera)} with gradients with respect to '{names[0].lstrip('_')}'"
+    """Cameras with a circle on the film outside of which nothing is shown."""
+    for camera in () if rendering.sensor is None or not rendering.movers() else rendering.sensor.members():
+        if camera.has_image_circle:
+            yield f"{named(camera)} leaves a part of its film dark"
 
 
 def shifted(box: tuple[Any, Any], by: Any) -> tuple[Any, Any]:
@@ -293,8 +294,8 @@ CASES: tuple[Case, ...] = (
         bounded_beams,
     ),
     Case(
-        "a camera whose image circle changes its place on the film",
-        "the edge of the circle isn't followed",
+        "a camera whose image circle leaves a part of the film dark",
+        "how outlines cross the edge of the circle, and how it moves, isn't followed",
         "choose a smaller field of view, or a crop, that leaves the dark corners out",
         image_circles,
     ),
