@@ -141,22 +141,30 @@ class Film(Plugin):
         if twice:
             raise RenderError(f"{self.id()}: the channel '{twice[0]}' appears twice")
         self._names, self._image = names, None
-        self._storage = self._block(self._crop_size, self._crop_offset, False, False)
+        self._storage = self._block(self._crop_size, self._crop_offset, False, False, False)
         return len(names)
 
-    def create_block(self, size: Sequence[int] = (0, 0), normalize: bool = False, borders: bool = False) -> ImageBlock:
+    def create_block(
+        self,
+        size: Sequence[int] = (0, 0),
+        normalize: bool = False,
+        borders: bool = False,
+        compensate: bool = False,
+    ) -> ImageBlock:
         """An empty image block with the film's channels and filter.
 
         Args:
             size: width and height; 0 x 0 is the crop window, widened by the filter's reach with `sample_border`.
             normalize: see `ImageBlock`.
             borders: whether it has a border for samples that reach beyond.
+            compensate: see `ImageBlock`.
         """
         self._prepared()
         width, height = (int(n) for n in size)
         if (width, height) != (0, 0):
-            return self._block((width, height), (0, 0), borders, normalize)
-        return self._block(self._crop_size, self._crop_offset, borders or self._sample_border, normalize)
+            return self._block((width, height), (0, 0), borders, normalize, compensate)
+        border = borders or self._sample_border
+        return self._block(self._crop_size, self._crop_offset, border, normalize, compensate)
 
     def base_channels_count(self) -> int:
         """The number of channels of a colour."""
@@ -178,10 +186,13 @@ class Film(Plugin):
         """
         raise RenderError(f"{self.id()}: this film stores red, green and blue: pass them to ImageBlock.put")
 
-    def _block(self, size: tuple[int, int], offset: tuple[int, int], border: bool, normalize: bool) -> ImageBlock:
+    def _block(
+        self, size: tuple[int, int], offset: tuple[int, int], border: bool, normalize: bool, compensate: bool
+    ) -> ImageBlock:
         from djpt.films.image_block import ImageBlock
 
-        return ImageBlock(size, offset, len(self._names), self._rfilter, border=border, normalize=normalize)
+        options = {"border": border, "normalize": normalize, "compensate": compensate}
+        return ImageBlock(size, offset, len(self._names), self._rfilter, **options)
 
     def _prepared(self) -> ImageBlock:
         if self._storage is None:

@@ -15,6 +15,7 @@ from djpt.jit.types import (
     Bool,
     Color3f,
     Float,
+    Float64,
     Int32,
     Point2f,
     ScalarArray2i,
@@ -43,6 +44,8 @@ class ImageBlock:
         coalesce: whether weights are taken for all pixels about the sample's own, up to half a pixel beyond the
             filter's radius; else for those within the radius.
         warn_negative, warn_invalid: kept for scripts that set them; nothing is reported.
+        compensate: whether sums are in double precision. In single precision, a sum of n values of similar size may be
+            off by a fraction of n 2^-24.
 
     Raises:
         RenderError: Shapes that don't fit.
@@ -60,6 +63,7 @@ class ImageBlock:
         coalesce: bool = True,
         warn_negative: bool = False,
         warn_invalid: bool = False,
+        compensate: bool = False,
     ) -> None: ...
     @overload
     def __init__(
@@ -72,6 +76,7 @@ class ImageBlock:
         coalesce: bool = True,
         warn_negative: bool = False,
         warn_invalid: bool = False,
+        compensate: bool = False,
     ) -> None: ...
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
@@ -82,6 +87,7 @@ class ImageBlock:
         self._rfilter: ReconstructionFilter | None = given["rfilter"]
         self._border = self._rfilter.border_size() if given["border"] and self._rfilter is not None else 0
         self._normalize, self._coalesce = bool(given["normalize"]), bool(given["coalesce"])
+        self._sum: type = Float64 if given["compensate"] else Float
         self._warn_negative, self._warn_invalid = bool(given["warn_negative"]), bool(given["warn_invalid"])
         self.set_offset(offset)
         if tensor is None:
@@ -93,7 +99,7 @@ class ImageBlock:
         self._size = (width - 2 * self._border, height - 2 * self._border)
         if min(self._size) < 0:
             raise RenderError(f"ImageBlock: {width} x {height} pixels are less than a border of {self._border}")
-        self._data = Float(tensor.array)
+        self._data = self._sum(tensor.array)
 
     def __repr__(self) -> str:
         width, height = self._size
@@ -152,7 +158,7 @@ class ImageBlock:
     def clear(self) -> None:
         """Set all sums to zero."""
         columns, rows = self._extent()
-        self._data = dr.zeros(Float, columns * rows * self._channels)
+        self._data = dr.zeros(self._sum, columns * rows * self._channels)
 
     def _extent(self) -> tuple[int, int]:
         """Width and height with the border."""
@@ -161,7 +167,7 @@ class ImageBlock:
     def tensor(self) -> TensorXf:
         """The sums (H, W, C), border included."""
         columns, rows = self._extent()
-        return TensorXf(self._data, shape=(rows, columns, self._channels))
+        return TensorXf(Float(self._data), shape=(rows, columns, self._channels))
 
     # ---- samples ----------------------------------------------------------------------
 
@@ -260,11 +266,11 @@ class ImageBlock:
         return UInt32(y * columns + x), (x >= 0) & (x < columns) & (y >= 0) & (y < rows)
 
     def _scatter(self, pixel: UInt32, values: Sequence[Float], active: Bool) -> None:
-        if self._channels == 4:
+        if self._channels == 4 and self._sum is Float:
             dr.scatter_add(self._data, Array4f(*values), pixel, active)
             return
         for c, value in enumerate(values):
-            dr.scatter_add(self._data, value, pixel * self._channels + c, active)
+            dr.scatter_add(self._data, self._sum(value), pixel * self._channels + c, active)
 
     def read(self, pos: Point2f, active: Bool | bool = True) -> list[Float]:
         """The channels at positions `pos`, in pixels of the film: the pixels around, times the filter's weights.
@@ -285,7 +291,8 @@ class ImageBlock:
         return [value * inverse_of(total) for value in result] if self._normalize else result
 
     def _gather(self, pixel: UInt32, active: Bool) -> list[Float]:
-        return [dr.gather(Float, self._data, pixel * self._channels + c, active) for c in range(self._channels)]
+        entries = (pixel * self._channels + c for c in range(self._channels))
+        return [Float(dr.gather(self._sum, self._data, entry, active)) for entry in entries]
 
     def put_block(self, block: ImageBlock) -> None:
         """Add the sums of another block, as far as they lie within this one.
@@ -310,7 +317,8 @@ class ImageBlock:
         # Each pixel is met once: a read and a write, whose order doesn't matter.
         pixel = UInt32(y * columns + x) * self._channels
         for c in range(self._channels):
-            dr.scatter_add(self._data, dr.gather(Float, block._data, index * self._channels + c), pixel + c, inside)
+            value = dr.gather(block._sum, block._data, index * self._channels + c)
+            dr.scatter_add(self._data, self._sum(value), pixel + c, inside)
 
 
 def sum_of(numbers: Sequence[Float]) -> Float:
@@ -332,6 +340,7 @@ DEFAULTS = {
     "coalesce": True,
     "warn_negative": False,
     "warn_invalid": False,
+    "compensate": False,
 }
 """The settings of a block, in the order of its arguments."""
 

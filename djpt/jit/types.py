@@ -28,6 +28,7 @@ from drjit.scalar import Array2u as ScalarArray2u
 __all__ = [
     "PCG32",
     "Array3f",
+    "Array3f64",
     "Array4f",
     "Array4i64",
     "ArrayXf",
@@ -74,6 +75,7 @@ Bool = backend.Bool
 Mask = backend.Bool
 
 Array3f = backend.Array3f
+Array3f64 = backend.Array3f64
 Array4f = backend.Array4f
 Array4i64 = backend.Array4i64
 ArrayXf = backend.ArrayXf

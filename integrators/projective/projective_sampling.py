@@ -326,7 +326,7 @@ class PSIntegrator(RBIntegrator):
 
         def splat(color: Color3f) -> TensorXf:
             film.prepare(list(self.aov_names()))
-            block = film.create_block(normalize=True)
+            block = film.create_block(normalize=True, compensate=True)
             alpha = [Float(0)] if film.flags() & FilmFlags.Alpha else []
             aovs = [Float(0) for _ in self.aov_names()]
             block.put(place, [color.x, color.y, color.z, *alpha, Float(0), *aovs], active)

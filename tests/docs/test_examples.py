@@ -6,6 +6,7 @@ import importlib.util
 from types import ModuleType
 from typing import Any
 
+import drjit as dr
 import numpy as np
 import pytest
 
@@ -124,13 +125,56 @@ def test_a_lamp_is_found_by_its_shadow() -> None:
     assert np.linalg.norm(found - lamp.TRUTH) < 0.03
 
 
+def test_a_glass_ball_is_found_by_its_caustic() -> None:
+    caustic = load_example("caustic")
+    scene = caustic.load(24)
+    target = caustic.trace(scene, djpt.Point3f(*caustic.TRUTH), 64, 2**20)
+    found = caustic.search(scene, target, caustic.START, steps=60)
+    assert np.linalg.norm(np.array(caustic.START) - caustic.TRUTH) > 0.5
+    assert np.linalg.norm(found - caustic.TRUTH) < 0.02
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["pose", "lamp"])
+def test_light_through_glass_is_that_of_light_tracing() -> None:
+    """The picture is that of `ptracer`, and its derivatives are those of differences."""
+    caustic = load_example("caustic")
+    scene = caustic.load(16)
+    params = djpt.traverse(scene)
+    tracer = djpt.load_dict({"type": "ptracer"})
+
+    def traced(theta: djpt.Float, axis: int, seed: int) -> djpt.TensorXf:
+        center = [djpt.Float(x) for x in caustic.TRUTH]
+        center[axis] = center[axis] + theta
+        params[caustic.KEY] = djpt.Transform4f().translate(djpt.Point3f(*center)).scale(caustic.RADIUS)
+        params.update()
+        return caustic.trace(scene, djpt.Point3f(*center), 256, seed)
+
+    image = np.array(traced(djpt.Float(0), 0, 0))
+    light = np.array(caustic.inner(djpt.render(scene, spp=4096, integrator=tracer)))
+    assert image.mean() == pytest.approx(light.mean(), rel=0.01)
+    assert np.abs(image - light).mean() < 0.03 * light.mean()
+    weights = np.cos(0.4 * np.arange(16))[:, None, None] + np.sin(0.5 * np.arange(16))[None, :, None]
+    for axis in range(3):
+        found, expected = [], []
+        for seed in range(4):
+            theta = djpt.Float(0)
+            dr.enable_grad(theta)
+            picture = traced(theta, axis, seed)
+            dr.forward(theta)
+            found.append((weights * np.array(dr.grad(picture))).sum())
+            ahead, back = (np.array(traced(djpt.Float(x), axis, seed)) for x in (0.005, -0.005))
+            expected.append((weights * (ahead - back)).sum() / 0.01)
+        error = np.std(np.subtract(found, expected), ddof=1) / 2
+        assert np.mean(found) == pytest.approx(np.mean(expected), rel=0.02, abs=4 * error)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["pose", "lamp", "caustic"])
 def test_the_scripts_of_places_print_errors_and_write_pictures(name: str, tmp_path: Any) -> None:
-    options = ["--size", "16", "--spp", "1"] + (["--steps", "2"] if name == "lamp" else [])
+    options = ["--size", "16", "--spp", "1"] + (["--steps", "2"] if name != "pose" else [])
     done = run_python(str(EXAMPLES / f"{name}.py"), "--out", str(tmp_path / "a.png"), *options, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert ("off by" if name == "lamp" else "focal length") in done.stdout
+    assert ("off by" if name != "pose" else "focal length") in done.stdout
     assert np.array(djpt.read(tmp_path / "a.png")).shape == (16, 3 * 16, 3)
 
 

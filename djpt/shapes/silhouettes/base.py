@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import drjit as dr
 
 from djpt.core.records import DiscontinuityFlags, SurfaceInteraction3f
-from djpt.jit.types import Bool, Float, Matrix4f, Normal3f, Point2f, Point3f, UInt32, Vector3f
+from djpt.jit.types import Bool, Float, Float64, Matrix4f, Normal3f, Point2f, Point3f, UInt32, Vector3f
 from djpt.shapes.silhouettes.moving import attached_place
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
@@ -49,6 +49,20 @@ class Placement:
     def of_matrix(matrix: Matrix4f) -> Placement:
         """The columns of a matrix."""
         x, y, z, origin = (Vector3f(matrix[0, k], matrix[1, k], matrix[2, k]) for k in range(4))
+        return Placement(x, y, z, origin)
+
+    @staticmethod
+    def of_entries(entries: Float64, lanes: int) -> Placement:
+        """The columns of a matrix whose entries are in memory, row by row, for so many lanes.
+
+        Lanes that read memory add up their gradients there, all in one kernel, and in double precision. Those of a
+        single number would be summed up one by one: a kernel for each entry.
+        """
+
+        def entry(index: int) -> Float:
+            return Float(dr.gather(Float64, entries, dr.full(UInt32, index, lanes), mode=dr.ReduceMode.Local))
+
+        x, y, z, origin = (Vector3f(*(entry(4 * row + k) for row in range(3))) for k in range(4))
         return Placement(x, y, z, origin)
 
     def point(self, p: Point3f) -> Point3f:
@@ -131,17 +145,19 @@ class Silhouette:
 
     def follow(self, prim_index: UInt32, uv: Point2f, active: Bool | bool) -> Point3f | None:
         """The point that sticks to the surface as the shape moves, attached to its parameters; None if it stays."""
-        place = self.attached()
+        place = self.attached(dr.width(uv))
         return None if place is None else place.point(dr.detach(self.local(dr.detach(uv))))
 
     def place(self) -> Any:
         """Where the shape is: its `Placement`; of a mesh the positions of its vertices."""
         raise NotImplementedError
 
-    def attached(self) -> Any:
-        """The same, attached to the parameters of the shape; None if it stays."""
-        matrix = attached_place(self.shape)
-        return None if matrix is None else Placement.of_matrix(matrix)
+    def attached(self, lanes: int) -> Any:
+        """The same for so many lanes, attached to the parameters of the shape; None if it stays."""
+        place = attached_place(self.shape)
+        if isinstance(place, Float64):
+            return Placement.of_entries(place, lanes)
+        return None if place is None else Placement.of_matrix(place)
 
     def surface(self, place: Any, p: Point3f, prim_index: UInt32, active: Bool | bool) -> SurfacePoint:
         """The surface at a point of it, if the shape is where `place` says; attached if `place` or `p` is."""

@@ -204,7 +204,7 @@ class CubeSilhouette(Silhouette):
         return Placement(shape.edge_x, shape.edge_y, shape.edge_z, Point3f(shape.center))
 
     def follow(self, prim_index: UInt32, uv: Point2f, active: Bool | bool) -> Point3f | None:
-        place = self.attached()
+        place = self.attached(dr.width(uv))
         if place is None:
             return None
         face, u, v = prim_index // 2, dr.fma(2, dr.detach(uv.x), -1), dr.fma(2, dr.detach(uv.y), -1)

@@ -22,7 +22,7 @@ from djpt.core.warp import (
     uniform_spherical_lune_to_square,
 )
 from djpt.distributions.discrete import Weights
-from djpt.jit.types import Bool, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
+from djpt.jit.types import Array3f64, Bool, Float, Float64, Normal3f, Point2f, Point3f, UInt32, Vector3f
 from djpt.shapes.silhouettes.base import (
     IN_FRONT,
     INSET,
@@ -31,7 +31,6 @@ from djpt.shapes.silhouettes.base import (
     Silhouette,
     SurfacePoint,
     edge_normal,
-    with_gradient,
 )
 from djpt.shapes.silhouettes.moving import attached_place
 from djpt.shapes.silhouettes.normals import attached_normals
@@ -298,8 +297,8 @@ class MeshSilhouette(Silhouette):
     def place(self) -> Float:
         return dr.detach(self.shape.vertex_positions)
 
-    def attached(self) -> Float | None:
-        positions: Float | None = attached_place(self.shape)
+    def attached(self, lanes: int = 1) -> Float | Float64 | None:
+        positions: Float | Float64 | None = attached_place(self.shape)
         return positions
 
     def follow(self, prim_index: UInt32, uv: Point2f, active: Bool | bool) -> Point3f | None:
@@ -310,10 +309,10 @@ class MeshSilhouette(Silhouette):
         u, v = dr.detach(uv.x), dr.detach(uv.y)
         return dr.fma(a, 1 - u - v, dr.fma(b, u, c * v))
 
-    def _at(self, positions: Float, prim_index: UInt32, active: Bool | bool) -> list[Point3f]:
+    def _at(self, positions: Float | Float64, prim_index: UInt32, active: Bool | bool) -> list[Point3f]:
         """The corners of triangles."""
         corners = self.shape.face_indices(prim_index, active)
-        return [dr.gather(Point3f, positions, corner, active) for corner in corners]
+        return [Point3f(vertex(positions, corner, active)) for corner in corners]
 
     def surface(self, place: Any, p: Point3f, prim_index: UInt32, active: Bool | bool) -> SurfacePoint:
         mesh = self.shape
@@ -325,10 +324,8 @@ class MeshSilhouette(Silhouette):
         shading, uv = n, Point2f(*weights)
         corners = mesh.face_indices(prim_index, active)
         if mesh.has_vertex_normals():
-            normals = mesh.vertex_normals
-            if dr.grad_enabled(place):
-                normals = with_gradient(normals, attached_normals(mesh))
-            at_corners = [dr.gather(Normal3f, normals, corner, active) for corner in corners]
+            normals = attached_normals(mesh) if dr.grad_enabled(place) else mesh.vertex_normals
+            at_corners = [Normal3f(vertex(normals, corner, active)) for corner in corners]
             shading = dr.normalize(sum((w * m for w, m in zip(shares, at_corners, strict=True)), Normal3f(0)))
             shading = -shading if mesh.flip_normals else shading
         if mesh.has_vertex_texcoords():
@@ -340,6 +337,12 @@ class MeshSilhouette(Silhouette):
 def place_of(edge: UInt32, edges: Weights, active: Bool | bool) -> tuple[Float, Float]:
     """Where the probability of an edge begins, and how large it is."""
     return edges.probability_below(edge, active), edges.probability(edge, active)
+
+
+def vertex(values: Float | Float64, index: UInt32, active: Bool | bool) -> Any:
+    """The three numbers of a vertex."""
+    kind = Point3f if isinstance(values, Float) else Array3f64
+    return dr.gather(kind, values, index, active, mode=dr.ReduceMode.Local)
 
 
 def by_edge(edge: UInt32, values: list[Any]) -> Any:

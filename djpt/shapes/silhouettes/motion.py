@@ -39,7 +39,7 @@ def attach(si: SurfaceInteraction3f, ray: Ray3f, flags: int, moving: Sequence[tu
     for index, shape in moving:
         silhouette = shape.silhouette()
         mine = still.is_valid() & (still.shape_index == index)
-        place, prim = silhouette.attached(), still.prim_index
+        place, prim = silhouette.attached(dr.width(still.p)), still.prim_index
         followed = silhouette.follow(prim, silhouette.texture_place(still.uv, still.prim_uv), mine)
         if place is None or followed is None:
             continue

@@ -63,7 +63,10 @@ def motion_name(shape: Any) -> str:
 
 
 def attached_place(shape: Any) -> Any:
-    """The variable by which a shape moves: a `Matrix4f`, or the `Float` of a mesh's positions; None if it stays."""
+    """The variable by which a shape moves: a `Matrix4f`, or the `Float` of a mesh's positions; None if it stays.
+
+    While images are differentiated, both are in memory: a `Float64` (`djpt.shapes.silhouettes.normals`).
+    """
     name = motion_name(shape)
     value = exchanged_value(shape, name)
     if value is None:
