@@ -317,7 +317,7 @@ class ImageBlock:
         # Each pixel is met once: a read and a write, whose order doesn't matter.
         pixel = UInt32(y * columns + x) * self._channels
         for c in range(self._channels):
-            value = dr.gather(block._sum, block._data, index * self._channels + c)
+            value: Any = dr.gather(block._sum, block._data, index * self._channels + c)
             dr.scatter_add(self._data, self._sum(value), pixel + c, inside)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.jit.types import TensorXf
 from tests.silhouettes.test_cases import GROUND, POINT, SPOTS, WEIGHTS, ball, sensor, sky
 from tests.silhouettes.test_projective import octahedron
@@ -29,6 +30,17 @@ def lit() -> dict[str, Any]:
     }
 
 
+def solids() -> dict[str, Any]:
+    """Facets, a box and a rough ball over a floor, in the light of a lamp."""
+    return {
+        "facets": octahedron((0.5, 0.5, 0.5), 0.8),
+        "ball": ball({"type": "roughplastic", "alpha": 0.3}, center=[-1, 0.3, 0.4], radius=0.6),
+        "box": {"type": "cube", "to_world": T().translate([0.8, -1, 0]).rotate([0.6, 0.8, 0], 35).scale(0.4)},
+        "floor": GROUND,
+        "lamp": {"type": "sphere", "center": [3, 3, 6], "radius": 0.5, "emitter": {"type": "area", "radiance": 60.0}},
+    }
+
+
 def facets() -> dict[str, Any]:
     """A mesh without normals under a sky, seen through a lens."""
     return {
@@ -38,13 +50,13 @@ def facets() -> dict[str, Any]:
     }
 
 
-def derivatives(nodes: dict[str, Any], integrator: Any, seed: int) -> tuple[float, dict[str, float]]:
+def derivatives(nodes: Callable[[], dict[str, Any]], integrator: Any, seed: int) -> tuple[float, dict[str, float]]:
     """The change of a loss along a random direction, and, in reverse mode, the part of each parameter in it."""
     random = np.random.default_rng(seed)
     directions: dict[str, Any] = {}
 
     def scene(changes: bool) -> tuple[Any, dict[str, Any]]:
-        scene = djpt.load_dict({"type": "scene", "sensor": sensor((-1, -1, 6), 45)} | nodes, optimize=False)
+        scene = djpt.load_dict({"type": "scene", "sensor": sensor((-1, -1, 6), 45)} | nodes(), optimize=False)
         params = djpt.traverse(scene)
         leaves: dict[str, Any] = {}
         for key in [key for key in params if params.flags(key).differentiable]:
@@ -79,13 +91,14 @@ def derivatives(nodes: dict[str, Any], integrator: Any, seed: int) -> tuple[floa
     [
         pytest.param(lit, "direct_projective", 2, id="direct light", marks=pytest.mark.slow),
         pytest.param(lit, "prb_projective", 4, id="indirect light", marks=pytest.mark.slow),
+        pytest.param(solids, "direct_projective", 2, id="solids", marks=pytest.mark.slow),
         pytest.param(facets, "prb_projective", 3, id="facets", marks=pytest.mark.slow),
     ],
 )
 def test_both_modes_agree(nodes: Callable[[], dict[str, Any]], kind: str, depth: int) -> None:
     integrator = djpt.load_dict({"type": kind, "max_depth": depth, "unproven_gradients": True})
     integrator.proj_seed_spp, integrator.octree_extra_leaf_sample, integrator.octree_max_depth = 64, 32, 7
-    forward, parts = derivatives(nodes(), integrator, 7)
+    forward, parts = derivatives(nodes, integrator, 7)
     largest = max(abs(forward), *(abs(part) for part in parts.values()))
     assert sum(part != 0 for part in parts.values()) > 6
     assert sum(parts.values()) == pytest.approx(forward, abs=ROUNDING * largest), parts
