@@ -222,7 +222,7 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
         si = scene.surface_interaction(incoming.ray, scene.closest_hit(incoming.ray), scene.surface_detail)
         reached = next_vertex(scene, incoming.ray, si, incoming.throughput, sampler)
         vertex = reached.vertex
-        subpath = self.joinable(incoming.arrived(vertex, reached.transmittance, self.h))
+        subpath = self.joinable(scene, incoming.arrived(vertex, reached.transmittance, self.h), vertex)
         on = active & vertex.si.is_valid()
         joins = on & vertex.is_smooth()
         flux = subpath.throughput * power
@@ -292,7 +292,7 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
         return CameraHit(
             vertex,
             incoming,
-            self.joinable(subpath),
+            self.joinable(scene, subpath, vertex),
             emitted,
             met,
             weight,
@@ -391,7 +391,7 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
 
     # ---- either way --------------------------------------------------------------------
 
-    def joinable(self, subpath: Subpath) -> Subpath:
+    def joinable(self, scene: Scene, subpath: Subpath, vertex: PathVertex) -> Subpath:
         """The subpath up to a vertex that can be joined; further ways to join it add to `Subpath.vcm`: here none."""
         return subpath
 

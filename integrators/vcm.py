@@ -9,21 +9,26 @@ import drjit as dr
 
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
-from djpt.integrators.base import refuse_scattering_media
 from djpt.integrators.bdpt import BidirectionalPath
 from djpt.integrators.bidirectional.subpath import Subpath, mis_weight
-from djpt.integrators.paths.path_vertex import PathVertex
-from djpt.integrators.photons import Photon, PhotonMap, PhotonStore, inverse_coverage
-from djpt.integrators.photons.photon_mapping import PhotonMapping, over_cosine, scatters
+from djpt.integrators.paths.path_vertex import MediumVertex, PathVertex, next_vertex, phase_evaluated
+from djpt.integrators.photons import (
+    NOWHERE,
+    Photon,
+    PhotonMap,
+    PhotonStore,
+    inverse_coverage,
+    inverse_coverage_in_medium,
+)
+from djpt.integrators.photons.photon_mapping import PhotonMapping, over_cosine, over_scattering, scattering_at
 from djpt.integrators.termination import roulette
-from djpt.jit.types import Bool, Color3f, Float
+from djpt.jit.types import Bool, Color3f, Float, Point3f, UInt32
 from djpt.samplers.base import SampleStream
 
 if TYPE_CHECKING:
     from djpt.scene.scene import Scene
-    from djpt.sensors.base import Sensor
 
-__all__ = ["VertexConnectionMerging"]
+__all__ = ["PhotonPath", "VertexConnectionMerging"]
 
 
 @dataclass
@@ -46,6 +51,9 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
 
     and all ways are weighted against each other: mergings count little where connections do well.
 
+    In media that scatter light the photons about a vertex are those of a ball: the density is p sigma_t 4/3 pi r^3 N,
+    where the weights know, as those of `bdpt`, no other densities of distances.
+
     Parameters: those of `bdpt` (without `strategies`) and of all `PhotonMapping`; a camera path has one
     light path at most.
 
@@ -64,28 +72,45 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
         super().__init__(props)
         if self.strategies:
             raise props.error("strategies", "isn't possible with photons; possible with: bdpt")
-        self._merging = Float(0)
-
-    def check_scene(self, scene: Scene, sensor: Sensor) -> None:
-        refuse_scattering_media("vcm", scene)
-        super().check_scene(scene, sensor)
+        self._merging = self._merging_in_media = Float(0)
 
     def looking_at(self, photons: PhotonMap) -> VertexConnectionMerging:
         integrator = super().looking_at(photons)
         # Those about a vertex share its camera path: they count for one sample.
-        integrator._merging = self.h(photons.expected * dr.opaque(Float, 1 / self.crowd))
+        one = dr.opaque(Float, 1 / self.crowd)
+        integrator._merging = self.h(photons.expected * one)
+        integrator._merging_in_media = photons.expected_in_ball * one
         return integrator
 
     # ---- where paths meet --------------------------------------------------------------
 
-    def joinable(self, subpath: Subpath) -> Subpath:
+    def joinable(self, scene: Scene, subpath: Subpath, vertex: PathVertex) -> Subpath:
         """The subpath up to a vertex that can be joined: by connections, whose densities are 1, and by mergings."""
-        return replace(subpath, vcm=subpath.vcm + self._merging)
+        merging, inside = self._merging, vertex.medium_vertex
+        if inside is not None:
+            in_medium = self.merging_at(scene, inside.medium, vertex.si.p, inside.inside)
+            merging = dr.select(inside.inside, in_medium, merging)
+        return replace(subpath, vcm=subpath.vcm + merging)
+
+    def merging_at(self, scene: Scene, medium: UInt32, p: Point3f, active: Bool) -> Float:
+        """h(density) of all mergings at a point in a medium, relative to a connection of the same vertices."""
+        return self.point_merging(scattering_at(scene, medium, p, active)[1])
+
+    def point_merging(self, sigma_t: Color3f) -> Float:
+        """h(density) of merging points in a medium; it has one number for all channels."""
+        return self.h(self._merging_in_media * dr.mean(sigma_t))
 
     def merged(self, scene: Scene, subpath: Subpath, vertex: PathVertex, sampler: SampleStream, joins: Bool) -> Color3f:
         """The light of the photons about a vertex of a camera path."""
         assert self.photons is not None
-        si = vertex.si
+        si, medium_vertex = vertex.si, vertex.medium_vertex
+        edges = dr.select(subpath.depth < self.joined, self.joined - subpath.depth, 0)
+        in_medium = None
+        if medium_vertex is not None:
+            in_medium = self.merged_in_medium(
+                scene, subpath, si.p, medium_vertex, edges, sampler, joins & medium_vertex.inside
+            )
+            vertex, joins = PathVertex(si, None), joins & ~medium_vertex.inside
 
         def worth(photon: Photon) -> Color3f:
             value, pdf, back = vertex.evaluate(scene, True, -photon.d)
@@ -94,9 +119,34 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
             weight = mis_weight((by_light + by_camera) * dr.rcp(self._merging))
             return over_cosine(value, si, photon) * photon.flux * weight
 
-        edges = dr.select(subpath.depth < self.joined, self.joined - subpath.depth, 0)
         found = self.photons.density(si.p, si.n, edges, joins, worth)
-        return subpath.throughput * found * inverse_coverage(scene, self.photons, si, sampler, dr.max(found) > 0)
+        light = subpath.throughput * found * inverse_coverage(scene, self.photons, si, sampler, dr.max(found) > 0)
+        return light if in_medium is None else light + subpath.throughput * in_medium
+
+    def merged_in_medium(
+        self,
+        scene: Scene,
+        subpath: Subpath,
+        p: Point3f,
+        at: MediumVertex,
+        edges: UInt32,
+        sampler: SampleStream,
+        joins: Bool,
+    ) -> Color3f:
+        """The light of the photons about a vertex in a medium, over the path's throughput."""
+        assert self.photons is not None
+        sigma_s, sigma_t = scattering_at(scene, at.medium, p, joins)
+        here, every = self.point_merging(sigma_t), self.merging_at(scene, at.medium, p, joins)
+
+        def worth(photon: Photon) -> Color3f:
+            value, pdf, back = phase_evaluated(scene, at.medium, p, at.wi, -photon.d, joins)
+            by_light = photon.vcm + photon.vc * self.h(pdf)
+            by_camera = subpath.vcm + subpath.vc * self.h(back)
+            return value * photon.flux * mis_weight((every - here + by_light + by_camera) * dr.rcp(here))
+
+        found = self.photons.density_in_medium(p, at.medium, edges, joins, worth)
+        covered = inverse_coverage_in_medium(scene, self.photons, p, sampler, dr.max(found) > 0)
+        return over_scattering(found, sigma_s) * covered
 
     # ---- photons -----------------------------------------------------------------------
 
@@ -108,18 +158,22 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
     ) -> tuple[PhotonPath, Bool]:
         ray = path.subpath.ray
         si = scene.surface_interaction(ray, scene.closest_hit(ray), scene.surface_detail)
-        vertex = PathVertex(si, None)
-        subpath = path.subpath.arrived(vertex, scene.media.transmittance(ray, si.t), self.h)
-        on = si.is_valid() & (subpath.depth < self.joined)
+        reached = next_vertex(scene, ray, si, path.subpath.throughput, sampler)
+        vertex = reached.vertex
+        subpath = path.subpath.arrived(vertex, reached.transmittance, self.h)
+        on = vertex.si.is_valid() & (subpath.depth < self.joined)
         flux = subpath.throughput * path.power
-        photon = Photon(si.p, si.n, Float(subpath.depth), ray.d, flux, subpath.vcm, subpath.vc)
-        store.add(photon, on & scatters(si) & (dr.max(flux) > 0))
+        photon = Photon(vertex.si.p, vertex.si.n, Float(subpath.depth), ray.d, flux, subpath.vcm, subpath.vc)
+        photon.medium = vertex.medium(NOWHERE)
+        store.add(photon, on & vertex.is_smooth() & (dr.max(flux) > 0))
 
         s = vertex.scatter(scene, False, None, sampler, on)
         eta = None if subpath.eta is None else subpath.eta * s.sample.eta
         throughput, survives = roulette(sampler, subpath.throughput * s.weight, eta, subpath.depth > self.roulette_from)
-        after = self.joinable(subpath).scattered(vertex, s, throughput, self.h)
-        return PhotonPath(after, path.power), on & survives & (subpath.depth + 1 < self.joined)
+        after = self.joinable(scene, subpath, vertex).scattered(vertex, s, throughput, self.h)
+        if scene.media.scatter:
+            after = path.subpath.passing(vertex, vertex.passes(s), after)
+        return PhotonPath(after, path.power), on & survives & (after.depth < self.joined)
 
 
 register_integrator("vcm", VertexConnectionMerging)

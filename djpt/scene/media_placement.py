@@ -218,6 +218,16 @@ class Media:
         """True where emitters are to be sampled from points in a medium."""
         return Members([i for i, m in enumerate(self.plugins) if m.use_emitter_sampling()], self.vacuum).contain(medium)
 
+    def coefficients(self, medium: UInt32, mei: MediumInteraction3f, active: Bool) -> tuple[Color3f, Color3f]:
+        """sigma_s and sigma_t at points in media; 0 in a vacuum."""
+        found = Color3f(0), Color3f(0)
+        for group in self.ensemble.groups:
+            mine = self.ensemble.members(group, medium) & active
+            here = group.at(self.ensemble.slots(group, medium), self.lookup)
+            sigma_s, _, sigma_t = here.get_scattering_coefficients(mei, mine)
+            found = dr.select(mine, (sigma_s, sigma_t), found)
+        return found
+
     # ---- what becomes of light ---------------------------------------------------------------
 
     def fill(self, medium: UInt32) -> Bool:

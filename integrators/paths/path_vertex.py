@@ -28,7 +28,7 @@ from djpt.samplers.base import SampleStream
 if TYPE_CHECKING:
     from djpt.scene.scene import Scene
 
-__all__ = ["MediumVertex", "NextVertex", "PathVertex", "Scattering", "is_half_open", "next_vertex"]
+__all__ = ["MediumVertex", "NextVertex", "PathVertex", "Scattering", "is_half_open", "next_vertex", "phase_evaluated"]
 
 
 @dataclass
@@ -82,6 +82,11 @@ class PathVertex:
         """True where other paths can be joined there."""
         smooth = has_flag(self.si.bsdf().flags(), BSDFFlags.Smooth)
         return smooth if self.medium_vertex is None else smooth | self.medium_vertex.inside
+
+    def medium(self, nowhere: int) -> UInt32 | None:
+        """The number of its medium, `nowhere` on surfaces; None in scenes whose media don't scatter light."""
+        at = self.medium_vertex
+        return None if at is None else dr.select(at.inside, at.medium, nowhere)
 
     def cos(self, d: Vector3f) -> Float:
         """The cosine of a direction with the normal, without its sign; 1 in media."""
@@ -157,7 +162,7 @@ class PathVertex:
     ) -> Scattering:
         """Scattering at a vertex: `s` on surfaces, by the phase function in media."""
         assert self.medium_vertex is not None
-        inside, mei = self.medium_vertex.inside, self._point(self.medium_vertex.wi)
+        inside, mei = self.medium_vertex.inside, medium_point(self.si.p, self.medium_vertex.wi)
         phase = scene.media.phases(self.medium_vertex.medium)
         wo, weight, pdf = phase.sample(PhaseFunctionContext(None), mei, sample1, sample2, inside)
         sample = BSDFSample3f.of(s.sample.wo, pdf, BSDFFlags.GlossyReflection)
@@ -167,19 +172,22 @@ class PathVertex:
 
     def _of_phase(self, scene: Scene, d: Vector3f) -> Evaluated:
         """The phase function towards a world direction, and the densities of both ways: it is the same for light."""
-        assert self.medium_vertex is not None
-        phase = scene.media.phases(self.medium_vertex.medium)
-        value, pdf = phase.eval_pdf(
-            PhaseFunctionContext(None), self._point(self.medium_vertex.wi), d, self.medium_vertex.inside
-        )
-        _, back = phase.eval_pdf(
-            PhaseFunctionContext(None), self._point(d), self.medium_vertex.wi, self.medium_vertex.inside
-        )
-        return value, pdf, back
+        medium_vertex = self.medium_vertex
+        assert medium_vertex is not None
+        return phase_evaluated(scene, medium_vertex.medium, self.si.p, medium_vertex.wi, d, medium_vertex.inside)
 
-    def _point(self, wi: Vector3f) -> MediumInteraction3f:
-        """The point in the medium, for light arriving from a direction."""
-        return MediumInteraction3f.on(Ray3f(self.si.p, -wi), Float(0), self.si.p)
+
+def phase_evaluated(scene: Scene, medium: UInt32, p: Point3f, wi: Vector3f, wo: Vector3f, active: Bool) -> Evaluated:
+    """The phase function of a medium at a point, from a world direction to another, and the densities of both ways."""
+    phase, ctx = scene.media.phases(medium), PhaseFunctionContext(None)
+    value, pdf = phase.eval_pdf(ctx, medium_point(p, wi), wo, active)
+    _, back = phase.eval_pdf(ctx, medium_point(p, wo), wi, active)
+    return value, pdf, back
+
+
+def medium_point(p: Point3f, wi: Vector3f) -> MediumInteraction3f:
+    """A point in a medium, for light arriving from a direction."""
+    return MediumInteraction3f.on(Ray3f(p, -wi), Float(0), p)
 
 
 def evaluated(bsdf: BSDF, si: SurfaceInteraction3f, from_camera: bool, wo: Vector3f, active: Bool | bool) -> Evaluated:

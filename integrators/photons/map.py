@@ -14,16 +14,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import drjit as dr
 
-from djpt.core.frame import Frame3f
-from djpt.core.records import Ray3f, SurfaceInteraction3f
-from djpt.core.records.flags import SurfaceDetail
-from djpt.core.warp import square_to_uniform_disk_concentric
-from djpt.integrators.photons.photon import MOST_EDGES, WORDS, Photon, PhotonStore, memory_for, unpacked
+from djpt.integrators.photons.photon import MOST_EDGES, NOWHERE, WORDS, Photon, PhotonStore, memory_for, unpacked
 from djpt.jit.kernels import as_float, while_loop, wide
 from djpt.jit.types import (
     Array4f,
@@ -40,12 +35,8 @@ from djpt.jit.types import (
     Vector2f,
     Vector3f,
 )
-from djpt.samplers.base import SampleStream, go_on_with
 
-if TYPE_CHECKING:
-    from djpt.scene.scene import Scene
-
-__all__ = ["PhotonMap", "inverse_coverage"]
+__all__ = ["FACING", "PhotonMap"]
 
 DIGITS = 32
 """Fractional bits of sums, in units of a typical colour: the integer part has as many, less one."""
@@ -84,6 +75,9 @@ ALONG_Y, ALONG_Z = 19349663, 83492791
 class PhotonMap:
     """The photons of a pass, ready for sums over those near a point."""
 
+    in_media = False
+    """True if some of its photons are in media."""
+
     def __init__(self, radius: float, paths: int, unit: float) -> None:
         """Create a map without photons: `fill` adds them.
 
@@ -95,7 +89,10 @@ class PhotonMap:
         density = math.pi * radius**2 * paths
         self.expected = as_float(density)
         """The photons within the radius per density of light paths: pi radius^2 paths."""
+        self.expected_in_ball = as_float(4 / 3 * radius * density)
+        """The photons within the radius of a point in a medium, per density of light paths: 4/3 pi radius^3 paths."""
         self.radius, self._square = as_float(radius), as_float(radius**2)
+        self._per_depth = as_float(3 / 4 / radius)
         self.height = as_float(FLATNESS * radius)
         """The largest distance from the tangent plane at which they count."""
         self._width = as_float(WIDTH * radius)
@@ -104,6 +101,7 @@ class PhotonMap:
 
     def fill(self, store: PhotonStore, count: int) -> None:
         """Take over the `count` photons of a store, and put them where those of their hash values belong."""
+        self.in_media = store.in_media
         values = max(FEWEST, 1 << (count - 1).bit_length())
         self._mask, self._count = dr.opaque(UInt32, values - 1), dr.opaque(UInt32, count)
         counts = dr.opaque(UInt32, 0, values)
@@ -158,7 +156,8 @@ class PhotonMap:
         """A photon of a run."""
         i = dr.select(i < self._count, i, i - self._count)
         packet = dr.gather(ArrayXf, self._photons, i, there, shape=(WORDS, lanes))
-        return unpacked(packet, dr.gather(Vector2f, self._weights, i, there) if self._weighted else None)
+        weights = dr.gather(Vector2f, self._weights, i, there) if self._weighted else None
+        return unpacked(packet, weights, self.in_media)
 
     def density(
         self, p: Point3f, n: Normal3f, edges: UInt32, active: Bool, worth: Callable[[Photon], Color3f]
@@ -173,12 +172,54 @@ class PhotonMap:
             active: lanes that have a sum; in others it is 0.
             worth: the contribution of a photon within the radius, a colour.
         """
+        # How far the disk reaches, with the photons above and below it.
+        reach = [
+            dr.minimum(self.radius, self.radius * dr.safe_sqrt(1 - dr.square(c)) + self.height * dr.abs(c)) for c in n
+        ]
+
+        def belongs(photon: Photon, to: Vector3f) -> Bool:
+            on_surface = (dr.abs(dr.dot(to, n)) <= self.height) & (dr.dot(photon.n, n) >= FACING)
+            return on_surface if photon.medium is None else on_surface & (photon.medium == NOWHERE)
+
+        return self._sum(p, reach, edges, active, belongs, worth)
+
+    def density_in_medium(
+        self, p: Point3f, medium: UInt32, edges: UInt32, active: Bool, worth: Callable[[Photon], Color3f]
+    ) -> Color3f:
+        """The sum of contributions of photons near a point, over the volume of the ball and the number of light paths.
+
+        Args:
+            p: the point, in a medium.
+            medium: the number of that medium: photons in others don't count.
+            edges: as for `density`.
+            active: as for `density`.
+            worth: as for `density`.
+        """
+        reach = [self.radius] * 3
+
+        def belongs(photon: Photon, to: Vector3f) -> Bool:
+            assert photon.medium is not None
+            return photon.medium == medium
+
+        return self._per_depth * self._sum(p, reach, edges, active, belongs, worth)
+
+    def _sum(
+        self,
+        p: Point3f,
+        reach: list[Float],
+        edges: UInt32,
+        active: Bool,
+        belongs: Callable[[Photon, Vector3f], Bool],
+        worth: Callable[[Photon], Color3f],
+    ) -> Color3f:
+        """The sum over the photons of a ball, over the area of its disk and the number of light paths.
+
+        `reach` is how far those that count lie from its centre along x, y and z; `belongs` tells by a photon and
+        the vector to it whether it counts.
+        """
         lanes = dr.width(p, active)
         most = Float(dr.minimum(edges, MOST_EDGES))
-        # How far the disk reaches, with the photons above and below it.
-        x, y, z = (
-            dr.minimum(self.radius, self.radius * dr.safe_sqrt(1 - dr.square(c)) + self.height * dr.abs(c)) for c in n
-        )
+        x, y, z = reach
         y0, z0 = self._across(p.y - y), self._across(p.z - z)
         y1 = dr.minimum(self._across(p.y + y), y0 + (MOST_ACROSS - 1))
         z1 = dr.minimum(self._across(p.z + z), z0 + (MOST_ACROSS - 1))
@@ -186,10 +227,8 @@ class PhotonMap:
         def add(i: UInt32, there: Bool, total: list[Int64]) -> list[Int64]:
             photon = self._photon(i, there, lanes)
             to = photon.p - p
-            on_surface = (dr.abs(dr.dot(to, n)) <= self.height) & (dr.dot(photon.n, n) >= FACING)
-            counts = there & on_surface & (dr.squared_norm(to) <= self._square) & (photon.edges <= most)
-            color = worth(photon) * self._scale
-            return [t + Int64(dr.round(dr.select(counts, c, 0))) for t, c in zip(total, color, strict=True)]
+            counts = there & belongs(photon, to) & (dr.squared_norm(to) <= self._square) & (photon.edges <= most)
+            return self._added(total, counts, worth(photon))
 
         def step(y: Int32, z: Int32, i: UInt32, end: UInt32, total: list[Int64]) -> tuple[Any, ...]:
             for _ in range(AT_ONCE):
@@ -209,71 +248,18 @@ class PhotonMap:
         sums = [dr.zeros(Int64, lanes) for _ in range(3)]
         state = (wide(y0, lanes), wide(z0, lanes), wide(start, lanes), wide(stop, lanes), sums)
         done = while_loop(state, lambda y, z, i, end, total: z <= z1, step, label="photons")
-        return Color3f(*(Float(Float64(t)) * self._unit for t in done[4]))
+        return self._color(done[4])
+
+    def _added(self, total: list[Int64], counts: Bool, worth: Color3f) -> list[Int64]:
+        """A sum with the contribution of one more photon, if it `counts`."""
+        color = worth * self._scale
+        return [t + Int64(dr.round(dr.select(counts, c, 0))) for t, c in zip(total, color, strict=True)]
+
+    def _color(self, total: list[Int64]) -> Color3f:
+        """A sum as a colour."""
+        return Color3f(*(Float(Float64(t)) * self._unit for t in total))
 
 
 def cell(c: Float) -> Int32:
     """The number of the cell that a coordinate in widths of cells lies in."""
     return Int32(dr.clip(dr.floor(c), -FAR, FAR))
-
-
-MOST = 16
-"""Points of a disk, at most. In the corner of a room, where c = 1/4, one in a hundred such sequences ends too early."""
-
-PRECISION = 2.0**-17
-"""The minimum height of ray origins over 1 + the largest coordinate: below it, rounding errors decide what they hit."""
-
-
-@dataclass
-class Search:
-    """Loop state."""
-
-    sampler: Any
-    points: UInt32
-    arrived: Bool
-    active: Bool
-
-
-def inverse_coverage(
-    scene: Scene, photons: PhotonMap, si: SurfaceInteraction3f, sampler: SampleStream, active: Bool
-) -> Float:
-    """An estimate of 1 / c, c being the fraction of the disk about a point where photons count; 1 where not `active`.
-
-    A sum over the photons of a disk is divided by its area. Where a surface ends within the disk, at an edge or at the
-    foot of a wall, photons can only lie on the fraction c of it, and the sum is too small by as much: all edges are
-    dark by a radius. So points of the disk are looked at until one is on the surface. Their number K is 1 nearly
-    everywhere, and has the mean 1 / c everywhere: sums times K have no such error, since K doesn't depend on the
-    photons.
-
-    T. E. Booth, "Unbiased Monte Carlo Estimation of the Reciprocal of an Integral", 2007; H. Qin, X. Sun, Q. Hou,
-    B. Guo and K. Zhou, "Unbiased Photon Gathering for Light Transport Simulation", 2015, use it for other paths.
-
-    A point of the disk counts if it is seen from the centre along the surface, and the surface there lies near the
-    tangent plane and faces the same way. If none is found, because the surface there is smaller than the disk, the
-    estimate is 1.
-    """
-    lanes = dr.width(si.p, active, sampler)
-    frame = Frame3f(si.n)
-    height, radius = photons.height, photons.radius
-    up = si.n * dr.sign(dr.dot(si.n, si.to_world(si.wi)))
-    o = dr.fma(up, height, si.p)
-    active = active & (height > PRECISION * (1 + dr.max(dr.abs(si.p))))
-
-    def search(search: Search) -> tuple[Search]:
-        at = square_to_uniform_disk_concentric(search.sampler.next_2d()) * radius
-        # Along the surface, then down to as far below the plane as above it.
-        aside = frame.to_world(Vector3f(at.x, at.y, 0))
-        length = dr.norm(aside)
-        way, down = Ray3f(o, aside * dr.rcp(length), maxt=length), Ray3f(o + aside, -up, maxt=2 * height)
-        if "time" in si.__dict__:
-            way.time = down.time = si.time
-        free = (length > 0) & ~scene.geometry.any_hit(way, search.active)
-        there = scene.surface_interaction(down, scene.closest_hit(down), SurfaceDetail.FRAME)
-        arrives = free & there.is_valid() & (dr.dot(there.n, si.n) >= FACING)
-        points = search.points + 1
-        return (Search(search.sampler, points, arrives, search.active & ~arrives & (points < MOST)),)
-
-    start = Search(sampler, dr.zeros(UInt32, lanes), dr.full(Bool, False, lanes), wide(active, lanes))
-    (done,) = while_loop((start,), lambda search: search.active, search, label="coverage")
-    go_on_with(sampler, done.sampler)
-    return dr.select(done.arrived, Float(done.points), 1)

@@ -13,6 +13,8 @@ from djpt.errors import RenderError
 from djpt.jit.types import ArrayXf, Bool, Color3f, Float, Int32, Normal3f, Point2f, Point3f, UInt32, Vector2f, Vector3f
 
 __all__ = [
+    "MOST_MEDIA",
+    "NOWHERE",
     "WORDS",
     "Photon",
     "PhotonStore",
@@ -45,27 +47,39 @@ NORMAL_DIGITS, EDGES_DIGITS = 8, 16
 MOST_EDGES = 2**EDGES_DIGITS - 1
 """The largest number of edges that a photon stores; longer paths are clamped to it."""
 
+NOWHERE = 0xFF
+"""The number of no medium: that of photons on surfaces."""
+
+MOST_MEDIA = NOWHERE - 1
+"""The most media whose numbers photons can store."""
+
+IN_MEDIUM = 0xFF
+"""The word's first coordinate of a normal where there is a medium instead, whose number is the second: no normal has
+it."""
+
 MOST = 2**27
 """The most photons of a pass: their numbers are counted in 32 bits, with room for those that don't fit."""
 
 
 @dataclass
 class Photon:
-    """A vertex of a light path: where light of a certain power arrives on a surface."""
+    """A vertex of a light path: where light of a certain power arrives on a surface, or is scattered in a medium."""
 
     p: Point3f
     n: Normal3f
-    """The surface's geometric normal, which is kept to about a degree."""
+    """The surface's geometric normal, which is kept to about a degree; it means nothing in a medium."""
     edges: Float
     """The number of edges of the light path until there: a whole number, of which `MOST_EDGES` are kept."""
     d: Vector3f
     """The direction in which it travels."""
     flux: Color3f
-    """The power that it would carry if it were the only light path."""
+    """The power that it would carry if it were the only light path; in a medium, the scattered part of it."""
     vcm: Float = field(default_factory=lambda: Float(0))
     vc: Float = field(default_factory=lambda: Float(0))
-    """Both are the light path's, for weights: see `djpt.integrators.bidirectional.subpath.End`; 0 where there are
+    """Both are the light path's, for weights: see `djpt.integrators.bidirectional.subpath.Subpath`; 0 where there are
     none."""
+    medium: UInt32 | None = None
+    """The number of the medium that it is in, or `NOWHERE` on a surface; None if no medium scatters light."""
 
 
 def bytes_each(weighted: bool) -> int:
@@ -99,18 +113,19 @@ def require_memory(owner: str, paths: int, weighted: bool, photons: int = 0) -> 
 class PhotonStore:
     """Memory that the lanes of a light walk fill with photons, in any order."""
 
-    def __init__(self, owner: str, paths: int, weighted: bool) -> None:
+    def __init__(self, owner: str, paths: int, weighted: bool, in_media: bool = False) -> None:
         """Room for the photons of some light paths.
 
         Args:
             owner: the integrator's name, for messages.
             paths: light paths of a pass.
             weighted: whether photons have weights; else weights are discarded.
+            in_media: whether some photons are in media, and all know which.
 
         Raises:
             RenderError: They need more memory than is free.
         """
-        self._owner, self._paths, self.weighted = owner, paths, weighted
+        self._owner, self._paths, self.weighted, self.in_media = owner, paths, weighted, in_media
         self._make_room(PER_PATH * paths)
 
     def _make_room(self, photons: int) -> None:
@@ -157,17 +172,24 @@ def packed(photon: Photon) -> ArrayXf:
     """A photon as a packet, without its weights."""
     p, flux = photon.p, photon.flux
     edges = dr.minimum(UInt32(photon.edges), MOST_EDGES)
-    word: Any = dr.reinterpret_array(Float, edges | (coded(photon.n, NORMAL_DIGITS) << EDGES_DIGITS))
+    place = coded(photon.n, NORMAL_DIGITS)
+    if photon.medium is not None:
+        place = dr.select(photon.medium == NOWHERE, place, IN_MEDIUM | (photon.medium << NORMAL_DIGITS))
+    word: Any = dr.reinterpret_array(Float, edges | (place << EDGES_DIGITS))
     return ArrayXf([p.x, p.y, p.z, Float(word), flux.x, flux.y, flux.z, word_of(photon.d)])
 
 
-def unpacked(packet: ArrayXf, weights: Vector2f | None) -> Photon:
-    """The photon of a packet, and of weights if it has some."""
+def unpacked(packet: ArrayXf, weights: Vector2f | None, in_media: bool = False) -> Photon:
+    """The photon of a packet, and of weights if it has some; `in_media`: whether it knows its medium."""
     x, y, z, word, red, green, blue, way = packet
     bits: Any = dr.reinterpret_array(UInt32, word)
     n = Normal3f(decoded(UInt32(bits) >> EDGES_DIGITS, NORMAL_DIGITS))
     edges = Float(UInt32(bits) & MOST_EDGES)
     photon = Photon(Point3f(x, y, z), n, edges, direction_in(way), Color3f(red, green, blue))
+    if in_media:
+        place = UInt32(bits) >> EDGES_DIGITS
+        number = place >> NORMAL_DIGITS
+        photon.medium = dr.select((place & (2**NORMAL_DIGITS - 1)) == IN_MEDIUM, number, NOWHERE)
     return photon if weights is None else replace(photon, vcm=weights.x, vc=weights.y)
 
 

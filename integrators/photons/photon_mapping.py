@@ -7,21 +7,23 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import drjit as dr
 
-from djpt.core.records import BSDFFlags, SurfaceInteraction3f, has_flag
+from djpt.core.records import BSDFFlags, Ray3f, SurfaceInteraction3f, has_flag
+from djpt.core.records.flags import PhaseFunctionFlags
+from djpt.core.records.interactions import MediumInteraction3f
 from djpt.description.properties import Properties
 from djpt.errors import RenderError
 from djpt.integrators.bidirectional.strategies import SplattingIntegrator
 from djpt.integrators.photons import Photon, PhotonMap, PhotonStore
-from djpt.integrators.photons.photon import bytes_of, require_memory
+from djpt.integrators.photons.photon import MOST_MEDIA, bytes_of, require_memory
 from djpt.jit.frozen import recording
-from djpt.jit.types import Bool, Color3f
+from djpt.jit.types import Bool, Color3f, Float, Point3f, UInt32, Vector3f
 from djpt.samplers.base import SampleStream
 
 if TYPE_CHECKING:
     from djpt.scene.scene import Scene
     from djpt.sensors.base import Sensor
 
-__all__ = ["PhotonMapping", "over_cosine", "scatters"]
+__all__ = ["PhotonMapping", "over_cosine", "over_scattering", "scattering_at", "scatters"]
 
 MOST_PATHS = 2**26
 """The maximum number of light paths of a pass."""
@@ -89,6 +91,7 @@ class PhotonMapping(SplattingIntegrator):
                 f"{self.id()}: dr.freeze can't record photon maps, whose sizes vary by pass; render without it"
             )
         require_memory(self.id(), self.photon_count, self.weighs_photons)
+        check_media(self.id(), scene)
         super().check_scene(scene, sensor)
 
     def prepare_scene(self, scene: Scene) -> None:
@@ -117,6 +120,31 @@ class PhotonMapping(SplattingIntegrator):
     def arrive(self, scene: Scene, sampler: SampleStream, path: Any, store: PhotonStore) -> tuple[Any, Bool]:
         """Trace the next edge of a light path, and leave a photon; the continued path, and True where it continues."""
         raise NotImplementedError
+
+
+def check_media(name: str, scene: Scene) -> None:
+    """Raise `RenderError` if a scene has media in which photons can't be gathered."""
+    media = scene.every_medium.plugins
+    if len(media) > MOST_MEDIA:
+        raise RenderError(f"'{name}' can tell {MOST_MEDIA} media apart, found {len(media)}; possible: 'volpath'")
+    for medium in media:
+        if medium.phase is not None and has_flag(medium.phase.flags(), PhaseFunctionFlags.Microflake):
+            raise RenderError(
+                f"'{name}' gathers photons in media whose extinction is the same in all directions, found "
+                f"'{medium.id()}' with the phase function '{medium.phase.id()}'; possible: 'volpath'"
+            )
+
+
+def scattering_at(scene: Scene, medium: UInt32, p: Point3f, active: Bool) -> tuple[Color3f, Color3f]:
+    """sigma_s and sigma_t at points in media, which are the same for all directions."""
+    mei = MediumInteraction3f.on(Ray3f(p, Vector3f(0, 0, 1)), Float(0), p)
+    return scene.media.coefficients(medium, mei, active)
+
+
+def over_scattering(found: Color3f, sigma_s: Color3f) -> Color3f:
+    """The light scattered at a point per unit of length, over sigma_s, which a sampled vertex has already."""
+    result: Color3f = dr.select(sigma_s > 0, found * dr.rcp(sigma_s), 0)
+    return result
 
 
 def scatters(si: SurfaceInteraction3f) -> Bool:

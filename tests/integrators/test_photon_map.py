@@ -11,7 +11,7 @@ import pytest
 
 from djpt.core import memory
 from djpt.errors import RenderError
-from djpt.integrators.photons import Photon, PhotonMap, PhotonStore, photon
+from djpt.integrators.photons import NOWHERE, Photon, PhotonMap, PhotonStore, photon
 from djpt.integrators.photons.map import (
     ALONG_Y,
     ALONG_Z,
@@ -85,6 +85,49 @@ def test_sums_are_those_over_all_photons(count: int) -> None:
     expected = (counts @ value if count else np.zeros((64, 3))) / (math.pi * RADIUS**2 * PATHS)
     np.testing.assert_allclose(np.array(found).T, expected, rtol=1e-5, atol=1e-6)
     assert count < 5000 or expected.max() > 0
+
+
+def filled_media(p: np.ndarray, flux: np.ndarray, edges: np.ndarray) -> tuple[PhotonMap, np.ndarray]:
+    """The map of photons on surfaces and in the media 0 and 1, in turn, and the numbers of their media."""
+    store, count = PhotonStore("photons", PATHS, False, in_media=True), len(p)
+    store.clear()
+    media = np.array([NOWHERE, 0, 1])[np.arange(count) % 3]
+    if count:
+        d = Vector3f(0, 0, 1)
+        photons_of = Photon(Point3f(p.T), normals(count), Float(edges), d, Color3f(flux.T), medium=UInt32(media))
+        store.add(photons_of, dr.full(Bool, True, count))
+        dr.eval(store.sinks)
+    result = PhotonMap(RADIUS, PATHS, UNIT)
+    result.fill(store, store.count() or 0)
+    return result, media
+
+
+@pytest.mark.parametrize("count", [0, 5000])
+def test_sums_in_media(count: int) -> None:
+    """Over the photons of a ball in one medium; those on surfaces are told apart."""
+    p, flux, edges = photons(count)
+    map_of, media = filled_media(p, flux, edges)
+    rng = np.random.default_rng(4)
+    o = rng.uniform(-0.3, 0.3, (64, 3)).astype(np.float32)
+    number, active, most = np.arange(64) % 2, np.arange(64) % 5 != 0, 3
+    to = (p[None] - o[:, None]).astype(np.float64)
+    belongs = (media[None] == number[:, None]) & (edges[None] <= most) & active[:, None]
+
+    near = belongs & (np.linalg.norm(to, axis=2) <= RADIUS)
+    lanes = UInt32(most), Bool(active)
+    ball = map_of.density_in_medium(Point3f(o.T), UInt32(number), *lanes, lambda photon: photon.flux)
+    expected = near @ flux.astype(np.float64) / (4 / 3 * math.pi * RADIUS**3 * PATHS)
+    np.testing.assert_allclose(np.array(ball).T, expected, rtol=1e-5, atol=1e-5)
+
+    assert not count or near.any()
+
+    up = Normal3f(0, 0, 1)
+    flat = map_of.density(Point3f(o.T), up, *lanes, lambda photon: photon.flux)
+    on_surface = (media == NOWHERE) & (np.arange(count) % 3 == 2) & (edges <= most)
+    disk = on_surface[None] & active[:, None] & (np.linalg.norm(to, axis=2) <= RADIUS)
+    disk &= np.abs(to[..., 2]) <= FLATNESS * RADIUS
+    expected = disk @ flux.astype(np.float64) / (math.pi * RADIUS**2 * PATHS)
+    np.testing.assert_allclose(np.array(flat).T, expected, rtol=1e-5, atol=1e-6)
 
 
 def test_a_crowd_in_one_place() -> None:

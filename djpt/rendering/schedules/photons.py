@@ -213,7 +213,10 @@ class PhotonSamples(SplattedSamples):
             if self._store is None:
                 assert isinstance(job.integrator, PhotonMapping)
                 self._store = PhotonStore(
-                    job.integrator.id(), job.integrator.photon_count, job.integrator.weighs_photons
+                    job.integrator.id(),
+                    job.integrator.photon_count,
+                    job.integrator.weighs_photons,
+                    job.scene.media.scatter,
                 )
                 self._first = first_radius(job, self._store)
             self._looking = None  # its map's memory is that of the next one
