@@ -17,7 +17,7 @@ from djpt.errors import DjptError, ParameterError, SceneError, near_miss
 from djpt.jit.frozen import Held, Structure, hold_garbage, recording
 from djpt.jit.kernels import may_wait
 
-__all__ = ["SceneParameters", "traverse"]
+__all__ = ["NEWER_NAMES", "SceneParameters", "traverse"]
 
 
 def traverse(node: Plugin) -> SceneParameters:
@@ -58,6 +58,31 @@ class Entry:
     def is_computed(self) -> bool:
         """True if the value is computed anew at each read."""
         return isinstance(getattr(type(self.owner), self.attribute, None), property)
+
+
+NEWER_NAMES = {
+    "positions": ("vertex_positions", 3),
+    "normals": ("vertex_normals", 3),
+    "texcoords": ("vertex_texcoords", 2),
+}
+"""Names of Mitsuba 3.10 for tensors with a row per vertex: those of the same numbers as flat arrays, and columns."""
+
+
+@dataclass(frozen=True)
+class RowsEntry(Entry):
+    """A flat array of numbers under its newer name: read and written as a tensor with a row per vertex."""
+
+    columns: int
+
+    def read(self) -> Any:
+        numbers = super().read()
+        return dr.tensor_t(type(numbers))(numbers, (dr.width(numbers) // self.columns, self.columns))
+
+    def write(self, value: Any) -> None:
+        super().write(value.array)
+
+    def is_computed(self) -> bool:
+        return True
 
 
 class Loan:
@@ -139,6 +164,10 @@ class SceneParameters(Mapping[str, Any]):
 
     A scene is brought up to date by the parameters of the scene, not by those of a part of it.
     Iterating yields the keys, as any mapping does (Mitsuba yields pairs: use `items`).
+
+    Of meshes, the names of Mitsuba 3.10 are understood, too: `positions`, `normals` and `texcoords` are tensors with a
+    row per vertex over what `vertex_positions`, `vertex_normals` and `vertex_texcoords` hold as flat arrays. Keys
+    that are listed are the flat ones.
     """
 
     DRJIT_STRUCT = Held()
@@ -172,7 +201,7 @@ class SceneParameters(Mapping[str, Any]):
         return len(self._entries)
 
     def __contains__(self, key: object) -> bool:
-        return key in self._entries
+        return isinstance(key, str) and (key in self._entries or self._older_name(key) in self._entries)
 
     def flags(self, key: str) -> ParamFlags:
         """The flags of a parameter: whether it is differentiable, and whether it moves edges (`Discontinuous`)."""
@@ -193,9 +222,19 @@ class SceneParameters(Mapping[str, Any]):
         """A second view of the same parameters, which can be narrowed down with `keep` independently."""
         return SceneParameters(self._root, self._entries, self._parents)
 
+    def _older_name(self, key: str) -> str:
+        """The key of the flat array that `key` may be the newer name of."""
+        path, dot, name = key.rpartition(".")
+        return f"{path}{dot}{NEWER_NAMES.get(name, (name, 0))[0]}"
+
     def _entry(self, key: str) -> Entry:
-        if isinstance(key, str) and key in self._entries:
-            return self._entries[key]
+        if isinstance(key, str):
+            if key in self._entries:
+                return self._entries[key]
+            older = self._entries.get(self._older_name(key))
+            if older is not None:
+                columns = NEWER_NAMES[key.rpartition(".")[2]][1]
+                return RowsEntry(older.owner, older.name, older.attribute, older.flags, older.path, columns)
         raise ParameterError(f"unknown parameter {key!r}{near_miss(str(key), self._entries)}")
 
     # ---- narrowing down ------------------------------------------------------------------
@@ -214,12 +253,18 @@ class SceneParameters(Mapping[str, Any]):
                 matches = [re.compile(pattern).match for pattern in patterns]
             except (re.error, TypeError) as error:
                 raise ParameterError(f"keep: {describe(keys)} isn't a regular expression: {error}") from None
-            kept = [key for key in self._entries if any(match(key) for match in matches)]
+            names = {key: key for key in self._entries}
+            newer = {older: name for name, (older, _) in NEWER_NAMES.items()}
+            for key in self._entries:
+                path, dot, name = key.rpartition(".")
+                names[f"{path}{dot}{newer.get(name, name)}"] = key
+            found = {key for name, key in names.items() if any(match(name) for match in matches)}
+            kept = [key for key in self._entries if key in found]
         self._entries = {key: self._entries[key] for key in kept}
 
     def __delitem__(self, key: str) -> None:
         self._entry(key)
-        del self._entries[key]
+        del self._entries[key if key in self._entries else self._older_name(key)]
 
     # ---- editing -------------------------------------------------------------------------
 
@@ -277,10 +322,10 @@ class SceneParameters(Mapping[str, Any]):
             if not hasattr(values, "items"):
                 raise ParameterError(f"update: expected a mapping of names to values, found {describe(values)}")
             for key, value in values.items():
-                if key in self._entries:
+                if key in self:
                     self[key] = value
         for key, loan in list(self._lent.items()):
-            if key in self._entries and loan.is_edited():
+            if key in self and loan.is_edited():
                 self[key] = loan.value
         self._lent.clear()
 

@@ -16,6 +16,7 @@ from djpt.core.files import read_bytes
 from djpt.core.records import PositionSample3f
 from djpt.core.warp import square_to_uniform_triangle
 from djpt.description.files import read_once, resolve
+from djpt.description.parameters import NEWER_NAMES
 from djpt.description.plugin import HIDDEN, ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.errors import FileError, ParameterError, SceneError
@@ -48,7 +49,8 @@ class Mesh(MeshQueries, Shape):
 
     Args:
         name: the mesh's name in messages and `traverse`, unless the scene gives one.
-        vertex_positions: (V, 3) numbers.
+        vertex_positions: (V, 3) numbers. Mitsuba 3.10's names of arrays, `positions`, `normals` and `texcoords`, are
+            understood as keywords, too.
         faces: (F, 3) indices of vertices, counter-clockwise seen from the side of the normal.
         vertex_normals: (V, 3), need not have unit length; without them triangles are shaded flat.
         vertex_texcoords: (V, 2); without them uv are the barycentric weights of corners 1 and 2.
@@ -95,6 +97,7 @@ class Mesh(MeshQueries, Shape):
     def __init__(self, *arguments: Any, **named: Any) -> None:
         if len(arguments) + len(named) == 1:
             arguments, named = ("", 0, 0, *arguments), {**named}
+        named = {NEWER_NAMES.get(key, (key,))[0]: value for key, value in named.items()}
         counted = "vertex_count" in named or (len(arguments) > 1 and isinstance(arguments[1], (int, np.integer)))
         data, own, given = (of_zeros if counted else of_arrays)(*arguments, **named)
         self.adopt(data, own, compute_normals=False, checked=not counted)
