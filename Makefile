@@ -9,7 +9,7 @@ PY := $(VENV)/bin/python
 SIDE_BY_SIDE := -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 READY := $(VENV)/.djpt-ready
 
-.PHONY: help setup render gallery test test-narrow lint format check check-cuda bench bench-cuda docs clean
+.PHONY: help setup render gallery test test-narrow lint format check check-cuda bench bench-cuda docs release clean
 
 help:
 	@echo 'make setup    create $(VENV), install djpt and what its tests and pages need, see to LLVM'
@@ -24,6 +24,7 @@ help:
 	@echo 'make bench    measure against Mitsuba'
 	@echo 'make bench-cuda    measure on a GPU, if there is one, against Mitsuba and the processor'
 	@echo 'make docs     build the documentation in build/docs, warnings are errors'
+	@echo 'make release  build the wheel, try it in an empty environment, write hashes, notes and a bill of materials to dist/'
 	@echo 'make clean    remove $(VENV) and caches'
 
 setup: $(READY)
@@ -74,6 +75,9 @@ bench-cuda: $(READY)  # without a GPU it says so and is content
 docs: $(READY)
 	$(PY) -m sphinx -q -W --keep-going -b html docs build/docs
 	@echo 'build/docs/index.html'
+
+release: $(READY)  # needs the package index
+	$(PY) packaging/release.py
 
 clean:
 	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis

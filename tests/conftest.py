@@ -40,7 +40,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 TESTS = Path(__file__).parent
 LONGEST = (
-    *("validation/test_gradcheck", "gradients/test_materials", "materials/test_sampling", "docs/test_readme"),
+    *("validation/test_gradcheck", "gradients/test_materials", "materials/test_sampling", "docs/test_command_line"),
     *("integrators/test_same_seed", "docs/test_pages", "integrators/test_bdpt", "integrators/test_photon_mapping"),
     *("commands/test_ladder_page", "integrators/test_guided", "gradients/test_images", "materials/test_principled"),
     *("gradients/test_machine", "sampling/test_samplers", "integrators/test_light_tracing", "geometry/test_scale"),

@@ -14,6 +14,7 @@ import comparison
 import ends
 import estimators
 import experiments
+import face
 import house
 import illumination
 import measures
@@ -31,7 +32,7 @@ from places import IMAGES
 FIGURES = {
     name: getattr(module, name)
     for module in (
-        *(proof, box, surfaces, illumination, mist, vapour, observers, blur, estimators, ends, slopes),
+        *(proof, face, box, surfaces, illumination, mist, vapour, observers, blur, estimators, ends, slopes),
         *(experiments, rounds, window, comparison, house, chains, packets, cells, measures, cards),
     )
     for name in module.__all__

@@ -23,8 +23,8 @@ PORTING = DOCS / "guides" / "comparing.md"
 LARGEST_PAGE = 2_000_000
 """Bytes: phones and search engines give up at more."""
 
-FEW = {"SIZE": 8, "SPP": 4, "ITERATIONS": 4, "TARGET_SPP": 16, "TEXELS": 8, "ROWS": 4}
-SMALLER = {"docs/guides/albedo-experiments.md": FEW}
+FEW = {"SIZE": 8, "SPP": 4, "ITERATIONS": 4, "TARGET_SPP": 16, "TEXELS": 8, "ROWS": 4, "STEPS": 2}
+SMALLER = {"docs/guides/albedo-experiments.md": FEW, "docs/gallery.md": FEW}
 """Constants of pages whose code takes minutes as it stands. `python docs/figures` runs it so, for their pictures."""
 
 pytestmark = pytest.mark.skipif(not PAGES, reason="not a working copy of the repository")

@@ -66,7 +66,7 @@ def test_planted_faults_are_caught_by_the_defaults(fault: str) -> None:
 
 
 def test_large_pictures_are_checked_small() -> None:
-    """The defaults of the README's own command take seconds: its pictures of 256 x 256 are reduced to 64 x 64."""
+    """The command on the page of commands takes seconds: pictures of 256 x 256 are reduced to 64 x 64."""
     calls: list[tuple[int, int]] = []
     options: dict[str, Any] = {"spp": 4, "seeds": 3, "most_seeds": 6, "precision": 0.0, "mitsuba": False}
     result = check_gradient("cornell_box", "red.reflectance.value", progress=lambda *now: calls.append(now), **options)
