@@ -76,7 +76,8 @@ class RowsEntry(Entry):
 
     def read(self) -> Any:
         numbers = super().read()
-        return dr.tensor_t(type(numbers))(numbers, (dr.width(numbers) // self.columns, self.columns))
+        tensor: Any = dr.tensor_t(type(numbers))
+        return tensor(numbers, (dr.width(numbers) // self.columns, self.columns))
 
     def write(self, value: Any) -> None:
         super().write(value.array)
