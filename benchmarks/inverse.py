@@ -1,0 +1,604 @@
+"""Problems of inverse rendering, each solved in Mitsuba as its authors solve it, and in djpt: the time to equal errors.
+
+Mitsuba: path replay (or projective sampling, for what moves) and Adam. Each problem has three learning rates, and for
+each error the fastest counts. djpt: Gauss-Newton steps, diagonal where all derivatives have one sign (`optimize`), else
+damped and taken back (`least_squares`), with one setting for each problem. Both start from the same values, with the
+same pictures, rendered by each renderer itself, and the same samples per pixel unless said.
+
+The error is the mean absolute difference from the true values, relative to that at the start. Seconds are those of the
+processor (of all threads), of the search alone: kernels are compiled before, and errors aren't timed.
+
+    python benchmarks/inverse.py --page docs/inverse.md
+
+writes the page with its pictures.
+"""
+
+from __future__ import annotations
+
+import djpt  # isort: skip (first: it finds the LLVM library that Dr.Jit opens)
+import argparse
+import json
+import math
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import drjit as dr
+import numpy as np
+
+from djpt.apps.benchmarks.measuring import heading, machine
+from djpt.apps.optimization import least_squares, optimize
+from djpt.validation.bridge import mitsuba_scene, to_mitsuba
+
+T = djpt.ScalarTransform4f
+TARGETS = (0.4, 0.2, 0.1)
+"""The errors to be reached, relative to that at the start."""
+SEARCH = 2**20
+"""The first seed of searches, beyond those of pictures."""
+
+
+# ---- problems --------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What is unknown, and what is seen of it."""
+
+    name: str
+    about: str
+    scene: Callable[[int], dict[str, Any]]
+    """The description, with the true values, for a size of the picture."""
+    truth: np.ndarray
+    start: np.ndarray
+    apply: Callable[[Any, Any, Any], None]
+    """Set the parameters of a renderer's scene from the unknowns: (module, parameters, array or tensor)."""
+    kind: str
+    """The type of the unknowns: ``TensorXf`` or ``Float``."""
+    rates: tuple[float, float, float]
+    """Mitsuba's learning rates."""
+    bounds: tuple[float, float]
+    ours: str
+    """``gauss_newton`` or ``least_squares``."""
+    keys: tuple[str, ...] = ()
+    """For ``gauss_newton``: the parameters that the unknowns are, in their order."""
+    spp: int = 8
+    coarse: int = 0
+    """For ``least_squares``: how often the picture is halved at first."""
+    iterations: int = 60
+    """The most steps of djpt."""
+    steps: int = 120
+    """The most steps of Adam."""
+    size: int = 64
+
+
+def film(size: int) -> dict[str, Any]:
+    """A square film with the box filter."""
+    return {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}}
+
+
+def camera(size: int, origin: list[float], target: list[float], fov: float) -> dict[str, Any]:
+    """A perspective camera, z up."""
+    return {"type": "perspective", "fov": fov, "film": film(size), "to_world": T().look_at(origin, target, [0, 0, 1])}
+
+
+def lamp(height: float, radiance: float, x: float = 0.0) -> dict[str, Any]:
+    """A square lamp that shines down."""
+    to_world = T().translate([x, 0, height]).rotate([1, 0, 0], 180).scale(0.5)
+    return {"type": "rectangle", "to_world": to_world, "emitter": {"type": "area", "radiance": radiance}}
+
+
+PAINTS = tuple(f"{name}.reflectance.value" for name in ("red", "green", "white"))
+
+
+def cornell(size: int) -> dict[str, Any]:
+    """The Cornell box."""
+    scene: dict[str, Any] = djpt.cornell_box()
+    scene["integrator"] = {"type": "prb", "max_depth": 6}
+    scene["sensor"]["film"] = film(size)
+    return scene
+
+
+def apply_paints(module: Any, params: Any, x: Any) -> None:
+    """The colours of the walls and boxes."""
+    for i, key in enumerate(PAINTS):
+        params[key] = module.Color3f(*(dr.gather(module.Float, x.array, module.UInt32(3 * i + c)) for c in range(3)))
+
+
+def paints() -> Problem:
+    """The paints of the Cornell box."""
+    truth = np.array([[0.57, 0.043, 0.044], [0.105, 0.378, 0.076], [0.885, 0.698, 0.667]], np.float32)
+    about = "Three colours of walls and boxes, from one picture. Light is reflected up to five times."
+    start = np.full((3, 3), 0.5, np.float32)
+    return Problem(
+        "paints of the Cornell box",
+        about,
+        cornell,
+        truth,
+        start,
+        apply_paints,
+        "TensorXf",
+        (0.02, 0.05, 0.1),
+        (0.0, 1.0),
+        "least_squares",
+        spp=16,
+    )
+
+
+TEXELS = np.random.default_rng(0).uniform(0.1, 0.9, (16, 16, 3)).astype(np.float32)
+
+
+def textured(size: int) -> dict[str, Any]:
+    """A textured floor with two balls under a lamp."""
+    paint = {"type": "bitmap", "data": TEXELS, "raw": True, "filter_type": "bilinear"}
+    grey = {"type": "diffuse", "reflectance": 0.5}
+    return {
+        "type": "scene",
+        "integrator": {"type": "prb", "max_depth": 4},
+        "sensor": camera(size, [0, -1.0, 2.4], [0, 0, 0], 50),
+        "floor": {"type": "rectangle", "bsdf": {"type": "diffuse", "reflectance": paint}},
+        "lamp": lamp(2.5, 12.0),
+        "left": {"type": "sphere", "center": [-0.5, 0.2, 0.4], "radius": 0.12, "bsdf": grey},
+        "right": {"type": "sphere", "center": [0.5, 0.2, 0.4], "radius": 0.12, "bsdf": grey},
+    }
+
+
+TEXTURE = "floor.bsdf.reflectance.data"
+
+
+def apply_texture(module: Any, params: Any, x: Any) -> None:
+    """The texels of the floor."""
+    params[TEXTURE] = x
+
+
+def texture() -> Problem:
+    """A texture of 16 x 16 texels."""
+    return Problem(
+        "texture",
+        "16 x 16 texels of three channels on a floor with two balls, from one picture; the balls hide some.",
+        textured,
+        TEXELS,
+        np.full_like(TEXELS, 0.5),
+        apply_texture,
+        "TensorXf",
+        (0.05, 0.1, 0.2),
+        (0.0, 1.0),
+        "gauss_newton",
+        keys=(TEXTURE,),
+        spp=16,
+    )
+
+
+def sky() -> np.ndarray:
+    """A sky of 8 x 16 texels: blue above, dark below, and a bright spot."""
+    rows, columns = np.mgrid[0:8, 0:16]
+    up = np.clip(1 - rows / 5, 0.05, 1)[..., None] * np.array([0.5, 0.7, 1.0])
+    spot = 4 * np.exp(-((rows - 1.5) ** 2 + (columns - 6) ** 2) / 1.5)[..., None] * np.array([1.0, 0.8, 0.6])
+    return np.asarray(up + spot, np.float32)
+
+
+SKY = sky()
+
+
+def ball_under_sky(size: int) -> dict[str, Any]:
+    """A rough metal ball that reflects an environment."""
+    metal = {"type": "roughconductor", "material": "none", "alpha": 0.15, "distribution": "ggx"}
+    return {
+        "type": "scene",
+        "integrator": {"type": "prb", "max_depth": 2},
+        "sensor": camera(size, [0, -4, 0.8], [0, 0, 0], 28),
+        "ball": {"type": "sphere", "bsdf": metal},
+        "sky": {"type": "envmap", "bitmap": SKY, "to_world": T().rotate([1, 0, 0], 90)},
+    }
+
+
+def apply_sky(module: Any, params: Any, x: Any) -> None:
+    """The texels of the sky, and what each renderer keeps beside them."""
+    width = SKY.shape[1]
+    stored = params["sky.data"].shape
+    index = dr.arange(module.UInt32, int(np.prod(stored)))
+    channel, pixel = index % stored[2], index // stored[2]
+    row, column = pixel // stored[1], pixel % stored[1]
+    source = row * width + (column + width - 1) % width  # the last column stands before the first as well
+    params["sky.data"] = module.TensorXf(dr.gather(module.Float, x.array, 3 * source + channel), stored)
+
+
+def environment() -> Problem:
+    """An environment map, seen in a rough metal ball."""
+    return Problem(
+        "environment map from a ball",
+        "8 x 16 texels of a sky, as a rough metal ball reflects it.",
+        ball_under_sky,
+        SKY,
+        np.full_like(SKY, 0.5),
+        apply_sky,
+        "TensorXf",
+        (0.02, 0.05, 0.1),
+        (0.0, 20.0),
+        "least_squares",
+        spp=16,
+    )
+
+
+PLACE = np.array([0.25, -0.2, 0.55], np.float32)
+
+
+def ball_on_floor(size: int) -> dict[str, Any]:
+    """A ball over a floor, at the origin before it is moved."""
+    return {
+        "type": "scene",
+        "integrator": {"type": "direct_projective"},
+        "sensor": camera(size, [0, -3, 2.5], [0, 0, 0.3], 45),
+        "floor": {"type": "rectangle", "to_world": T().scale(3), "bsdf": {"type": "diffuse", "reflectance": 0.5}},
+        "sky": {"type": "constant", "radiance": 0.5},
+        "light": {"type": "point", "position": [1, -2, 3], "intensity": 20.0},
+        "ball": {"type": "sphere", "radius": 0.4, "bsdf": {"type": "diffuse", "reflectance": 0.15}},
+    }
+
+
+def apply_place(module: Any, params: Any, x: Any) -> None:
+    """The way of the ball."""
+    place = [dr.gather(module.Float, x, module.UInt32(i)) for i in range(3)]
+    params["ball.to_world"] = module.Transform4f().translate(place)
+
+
+def pose() -> Problem:
+    """The place of a ball."""
+    return Problem(
+        "object pose",
+        "The place of a ball over a floor, three numbers, from its outline and its shading.",
+        ball_on_floor,
+        PLACE,
+        np.array([-0.1, 0.1, 0.4], np.float32),
+        apply_place,
+        "Float",
+        (0.01, 0.02, 0.05),
+        (-2.0, 2.0),
+        "least_squares",
+        spp=16,
+        coarse=3,
+        iterations=12,
+        steps=80,
+    )
+
+
+ROUGHNESS = np.random.default_rng(2).uniform(0.15, 0.7, (4, 4, 1)).astype(np.float32)
+ROUGH = "body.bsdf.roughness.data"
+
+
+def rough_plate(size: int) -> dict[str, Any]:
+    """A metal plate of varying roughness under lamps."""
+    rough = {"type": "bitmap", "data": ROUGHNESS, "raw": True, "filter_type": "bilinear"}
+    metal = {"type": "principled", "base_color": {"type": "rgb", "value": [0.8, 0.7, 0.5]}, "metallic": 0.9}
+    return {
+        "type": "scene",
+        "integrator": {"type": "prb", "max_depth": 2},
+        "sensor": camera(size, [0, -2.2, 2.2], [0, 0, 0], 42),
+        "body": {"type": "rectangle", "bsdf": {**metal, "roughness": rough}},
+        "lamp": {
+            "type": "rectangle",
+            "to_world": T().look_at([0, 2.5, 2.5], [0, 0, 0], [0, 0, 1]).scale(0.7),
+            "emitter": {"type": "area", "radiance": 8.0},
+        },
+        "sky": {"type": "constant", "radiance": 0.2},
+    }
+
+
+def apply_roughness(module: Any, params: Any, x: Any) -> None:
+    """The roughness of the plate."""
+    params[ROUGH] = x
+
+
+def roughness() -> Problem:
+    """The roughness of a principled body."""
+    return Problem(
+        "roughness of a principled body",
+        "4 x 4 texels of roughness of a metal plate, from the reflection of a lamp. Rougher texels are brighter here "
+        "and darker there.",
+        rough_plate,
+        ROUGHNESS,
+        np.full_like(ROUGHNESS, 0.4),
+        apply_roughness,
+        "TensorXf",
+        (0.01, 0.03, 0.06),
+        (0.05, 1.0),
+        "least_squares",
+        spp=16,
+    )
+
+
+PROBLEMS: dict[str, Callable[[], Problem]] = {
+    "paints": paints,
+    "texture": texture,
+    "environment": environment,
+    "pose": pose,
+    "roughness": roughness,
+}
+
+
+# ---- searches --------------------------------------------------------------------------------
+
+
+@dataclass
+class Course:
+    """The errors of a search and the processor's seconds at which they were reached."""
+
+    label: str
+    points: list[tuple[float, float]] = field(default_factory=list)
+    last: Any = None
+
+    def seconds(self, error: float) -> float:
+        """The time at which an error was first reached; infinite if it wasn't."""
+        return next((t for t, e in self.points if e <= error), math.inf)
+
+    @property
+    def best(self) -> float:
+        """The least error of all."""
+        return min((e for _, e in self.points), default=1.0)
+
+
+class Clock:
+    """The processor's seconds, without the time in which errors are computed."""
+
+    def __init__(self) -> None:
+        self._spent, self._since = 0.0, time.process_time()
+
+    def stop(self) -> float:
+        """Stop, and return the time so far."""
+        dr.sync_thread()
+        self._spent += time.process_time() - self._since
+        return self._spent
+
+    def go(self) -> None:
+        """Go on."""
+        self._since = time.process_time()
+
+
+@dataclass
+class Renderer:
+    """A problem's scene in djpt or in Mitsuba, with the picture."""
+
+    module: Any
+    problem: Problem
+    scene: Any
+
+    def __post_init__(self) -> None:
+        self.params = self.module.traverse(self.scene)
+        self.typed = getattr(self.module, self.problem.kind)
+        self.target = self.picture(self.problem.truth, 512)
+
+    def picture(self, x: np.ndarray, spp: int = 256) -> Any:
+        """The picture at some values of the unknowns."""
+        self.set(self.typed(x))
+        image = self.module.render(self.scene, spp=spp, seed=SEARCH - 1)
+        return self.module.TensorXf(np.array(image))
+
+    def set(self, x: Any) -> None:
+        """Set the unknowns."""
+        self.problem.apply(self.module, self.params, x)
+        self.params.update()
+
+    def error(self, x: Any) -> float:
+        """The error of the unknowns, relative to that at the start."""
+        truth, start = self.problem.truth, self.problem.start
+        return float(np.abs(np.array(x).reshape(truth.shape) - truth).mean() / np.abs(start - truth).mean())
+
+    def adam(self, rate: float, steps: int, seconds: float = math.inf) -> Course:
+        """Adam, given up after so many steps or seconds."""
+        problem, course = self.problem, Course(f"Adam, rate {rate:g}")
+        optimizer = djpt.ad.Adam(lr=rate, params={"x": self.typed(problem.start)})
+        clock = Clock()
+        for step in range(steps):
+            self.set(optimizer["x"])
+            image = self.module.render(self.scene, self.params, spp=problem.spp, seed=SEARCH + step)
+            dr.backward(dr.mean(dr.square(image - self.target), axis=None))
+            optimizer.step()
+            optimizer["x"] = dr.clip(dr.detach(optimizer["x"]), *problem.bounds)
+            dr.eval(optimizer["x"])
+            spent = clock.stop()
+            course.points.append((spent, self.error(optimizer["x"])))
+            course.last = np.array(optimizer["x"])
+            if course.best <= TARGETS[-1] or spent > seconds:
+                break
+            clock.go()
+        return course
+
+    def second_order(self, steps: int) -> Course:
+        """djpt's search."""
+        return self.gauss_newton(steps) if self.problem.ours == "gauss_newton" else self.least_squares(steps)
+
+    def gauss_newton(self, steps: int) -> Course:
+        """`optimize` with Gauss-Newton steps."""
+        problem, course = self.problem, Course("optimize, gauss_newton")
+        self.set(self.typed(problem.start))
+        (key,) = problem.keys
+        clock = Clock()
+
+        def seen(done: Any) -> bool:
+            spent = clock.stop()
+            course.points.append((spent, self.error(done.values[key])))
+            course.last = np.array(done.values[key])
+            clock.go()
+            return course.best <= TARGETS[-1]
+
+        optimize(
+            self.scene,
+            key,
+            [self.target],
+            optimizer="gauss_newton",
+            spp=problem.spp,
+            rate=lambda i: min(1.6, 8 / (i + 1)),
+            iterations=steps,
+            callback=seen,
+            seed=5,
+        )
+        return course
+
+    def least_squares(self, steps: int) -> Course:
+        """Damped steps that are taken back."""
+        problem, course = self.problem, Course("least_squares")
+        clock = Clock()
+
+        def residual(x: Any, seed: int) -> Any:
+            self.set(x["x"])
+            return self.module.render(self.scene, self.params, spp=problem.spp, seed=seed) - self.target
+
+        def seen(i: int, loss: float, x: Any) -> bool:
+            spent = clock.stop()
+            course.points.append((spent, self.error(x["x"])))
+            course.last = np.array(x["x"])
+            clock.go()
+            return course.best <= TARGETS[-1]
+
+        least_squares(
+            residual,
+            {"x": self.typed(problem.start)},
+            bounds={"x": problem.bounds},
+            coarse=problem.coarse,
+            iterations=steps,
+            callback=seen,
+            seed=5,
+        )
+        return course
+
+
+def in_mitsuba(mi: Any, description: dict[str, Any]) -> Any:
+    """A scene in Mitsuba."""
+    with mitsuba_scene(None):
+        return mi.load_dict(to_mitsuba(description))
+
+
+@dataclass
+class Result:
+    """The courses of a problem, and the time to each error."""
+
+    problem: Problem
+    ours: Course
+    theirs: list[Course]
+    pictures: dict[str, np.ndarray]
+
+    def times(self) -> list[tuple[float, float]]:
+        """Mitsuba's best time and djpt's, by the errors."""
+        return [(min(course.seconds(e) for course in self.theirs), self.ours.seconds(e)) for e in TARGETS]
+
+
+def solve(mi: Any, problem: Problem) -> Result:
+    """Solve a problem in both renderers."""
+    description = problem.scene(problem.size)
+    ours = Renderer(djpt, problem, djpt.load_dict(description))
+    theirs = Renderer(mi, problem, in_mitsuba(mi, description))
+    ours.second_order(1)  # compiles
+    mine = ours.second_order(problem.iterations)
+    theirs.adam(problem.rates[0], 2)
+    courses = list[Course]()
+    # The middle first: it is often the fastest, and the others are given up when they take as long.
+    for rate in (problem.rates[1], problem.rates[0], problem.rates[2]):
+        fastest = min((course.seconds(TARGETS[-1]) for course in courses), default=math.inf)
+        courses.append(theirs.adam(rate, problem.steps, fastest))
+    last = mine.last if mine.last is not None else problem.start
+    pictures = {
+        "start": np.array(ours.picture(problem.start)),
+        "djpt": np.array(ours.picture(last.reshape(problem.truth.shape))),
+        "truth": np.array(ours.target),
+    }
+    return Result(problem, mine, courses, pictures)
+
+
+# ---- the report ------------------------------------------------------------------------------
+
+
+def seconds(value: float) -> str:
+    """A time, or a dash."""
+    return f"{value:.1f}" if math.isfinite(value) else "-"
+
+
+def ratio(theirs: float, ours: float) -> float:
+    """Mitsuba's time / djpt's; not a number if either didn't reach the error."""
+    return theirs / ours if math.isfinite(theirs) and math.isfinite(ours) else math.nan
+
+
+def said(result: Result) -> str:
+    """A problem's results as a line of text."""
+    cells = [f"{seconds(t)} / {seconds(o)} = {ratio(t, o):.2f}" for t, o in result.times()]
+    return f"{result.problem.name:<34}" + "".join(f"{cell:>24}" for cell in cells)
+
+
+def page(results: list[Result], facts: str, folder: Path) -> str:
+    """The page, whose pictures are written to a folder `images` beside it."""
+    heads = "".join(f" {e:g} |" for e in TARGETS)
+    lines = [
+        "# Inverse problems, against Mitsuba",
+        "",
+        "`python benchmarks/inverse.py --page docs/inverse.md` writes this page. " + DESCRIBED,
+        "",
+        f"| seconds, Mitsuba / djpt = ratio, to an error of |{heads}",
+        "|---|" + "---|" * len(TARGETS),
+    ]
+    for result in results:
+        cells = [f" {seconds(t)} / {seconds(o)} = {ratio(t, o):.2f} |" for t, o in result.times()]
+        lines.append(f"| {result.problem.name} |" + "".join(cells))
+    found = [ratio(t, o) for result in results for t, o in result.times()]
+    known = [r for r in found if math.isfinite(r)]
+    mean = math.exp(np.mean(np.log(known))) if known else math.nan
+    lines += ["", f"Geometric mean {mean:.1f}, worst {min(known, default=math.nan):.2f}. {facts}", ""]
+    for result in results:
+        problem = result.problem
+        name = problem.name.replace(" ", "_")
+        djpt.write(folder / "images" / f"inverse_{name}.png", np.concatenate(list(result.pictures.values()), axis=1))
+        fastest = min(result.theirs, key=lambda course: course.seconds(TARGETS[-1]))
+        rates = ", ".join(f"{rate:g}" for rate in problem.rates)
+        lines += [
+            f"## {problem.name[0].upper()}{problem.name[1:]}",
+            "",
+            f"{problem.about} {problem.truth.size} numbers, {problem.size} x {problem.size} pixels, {problem.spp} spp.",
+            "",
+            f"![Start, found by djpt, truth](images/inverse_{name}.png)",
+            "",
+            f"*Start, found by djpt, truth.* Mitsuba: the best of Adam with the rates {rates} (to the last error: "
+            f"{fastest.label}, {len(fastest.points)} steps, least error {fastest.best:.3f}). djpt: `{problem.ours}`, "
+            f"{len(result.ours.points)} steps, least error {result.ours.best:.3f}.",
+            "",
+        ]
+    return "\n".join(lines)
+
+
+DESCRIBED = (
+    "Mitsuba solves each problem by path replay, or by projective sampling for what moves, and Adam; of three learning "
+    "rates the fastest counts, for each error by itself. djpt solves it by Gauss-Newton steps with one setting. Both "
+    "have the same start, the same number of samples per pixel, and pictures of their own. The error is the mean "
+    "absolute difference from the truth relative to that at the start; seconds are those of the processor, of all "
+    "threads, kernels compiled before. A dash: the error wasn't reached."
+)
+
+
+def main() -> int:
+    """Solve the problems, print a table, write the page."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("problems", nargs="*", choices=[*PROBLEMS, []], default=list(PROBLEMS))
+    parser.add_argument("--page", type=Path, metavar="FILE", help="write a page in Markdown, with pictures")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the courses of all searches")
+    chosen = parser.parse_args()
+    import mitsuba as mi
+
+    mi.set_variant("llvm_ad_rgb")
+    facts = heading(machine(), "Mitsuba's seconds / djpt's, of the processor")
+    print(facts)
+    print(f"{'error, relative to the start':<34}" + "".join(f"{e:>24g}" for e in TARGETS))
+    results = []
+    for name in chosen.problems or list(PROBLEMS):
+        results.append(solve(mi, PROBLEMS[name]()))
+        print(said(results[-1]), flush=True)
+        for course in [results[-1].ours, *results[-1].theirs]:
+            print(f"    {course.label}: {len(course.points)} steps, least error {course.best:.3f}", flush=True)
+    if chosen.json:
+        courses = {r.problem.name: {c.label: c.points for c in [r.ours, *r.theirs]} for r in results}
+        chosen.json.write_text(json.dumps(courses, indent=1) + "\n")
+    if chosen.page:
+        chosen.page.write_text(page(results, facts, chosen.page.parent))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

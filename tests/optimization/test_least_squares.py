@@ -1,0 +1,73 @@
+"""Damped Gauss-Newton steps: minima in closed form, with mixed signs, noise and bounds."""
+
+from collections.abc import Callable
+from typing import Any
+
+import drjit as dr
+import numpy as np
+import pytest
+
+import djpt
+from djpt.apps.optimization import least_squares
+from djpt.apps.optimization.least_squares import halved
+from djpt.errors import RenderError
+
+
+def linear(matrix: np.ndarray, right: np.ndarray, noise: float = 0.0) -> Callable[[Any, int], Any]:
+    """The residuals of a linear problem, with noise of their own in images and derivatives."""
+    rows = djpt.Float(matrix.ravel().astype(np.float32))
+    column = dr.arange(djpt.UInt32, matrix.size) % matrix.shape[1]
+
+    def residual(x: Any, seed: int) -> Any:
+        shaken = djpt.Float(np.random.default_rng([seed, 1]).normal(0, noise, len(right)).astype(np.float32))
+        return dr.block_sum(rows * dr.gather(djpt.Float, x["x"], column), matrix.shape[1]) - djpt.Float(right) + shaken
+
+    return residual
+
+
+@pytest.mark.parametrize("entries", [5, 40])
+def test_the_minimum_of_a_linear_problem(entries: int) -> None:
+    rng = np.random.default_rng(entries)
+    matrix, right = rng.normal(0, 1, (120, entries)), rng.normal(0, 1, 120).astype(np.float32)
+    found = least_squares(linear(matrix, right), {"x": dr.zeros(djpt.Float, entries)}, iterations=12, damping=1e-4)
+    assert np.allclose(found.values["x"].numpy(), np.linalg.lstsq(matrix, right, rcond=None)[0], atol=2e-3)
+    assert found.losses[-1] <= found.losses[0]
+
+
+def test_noise_doesnt_move_the_minimum() -> None:
+    rng = np.random.default_rng(3)
+    matrix, truth = rng.normal(0, 1, (200, 4)), np.array([0.5, -1.0, 2.0, 0.0])
+    residual = linear(matrix, (matrix @ truth).astype(np.float32), 0.5)
+    found = least_squares(residual, {"x": dr.zeros(djpt.Float, 4)}, iterations=40)
+    assert np.allclose(found.average["x"], truth, atol=0.06)
+
+
+def test_bounds_and_the_end_by_the_callback() -> None:
+    seen: list[float] = []
+
+    def seeing(i: int, loss: float, x: Any) -> bool:
+        seen.append(loss)
+        return i == 2
+
+    def residual(x: Any, seed: int) -> Any:
+        return x["x"] - djpt.Float([3.0, -3.0])
+
+    found = least_squares(residual, {"x": djpt.Float([0, 0])}, bounds={"x": (-1, 1)}, callback=seeing)
+    assert np.allclose(found.values["x"].numpy(), [1, -1]) and len(seen) == 3
+
+
+def test_coarse_images_come_first() -> None:
+    def residual(x: Any, seed: int) -> Any:
+        return djpt.TensorXf(dr.repeat(x["x"], 60), (4, 5, 3)) - 1
+
+    image = residual({"x": djpt.Float(3.0)}, 0)
+    assert halved(image).shape == (2, 2, 3) and np.allclose(halved(image).numpy(), 2)
+    found = least_squares(residual, {"x": djpt.Float(3.0)}, iterations=6, coarse=2, damping=1e-4)
+    assert np.isclose(found.values["x"].numpy().item(), 1, atol=1e-3)
+
+
+def test_what_is_refused() -> None:
+    with pytest.raises(RenderError, match="don't depend on the variables"):
+        least_squares(lambda x, seed: djpt.Float([1.0, 2.0]), {"x": djpt.Float([0, 0])})
+    with pytest.raises(RenderError, match="aren't finite at the start"):
+        least_squares(lambda x, seed: x["x"] / 0, {"x": djpt.Float([0, 0])})
