@@ -112,7 +112,7 @@ def imported(name: str, package: str) -> Any:
     try:
         return importlib.import_module(name)
     except ImportError as error:
-        raise BackendError(f"'{package}' isn't installed: pip install {package}") from error
+        raise BackendError(f"'{package}' isn't installed; its own pages say which build suits the machine") from error
 
 
 def torch_module(scene: Scene, keys: str | Sequence[str], **options: Any) -> Any:
