@@ -76,12 +76,25 @@ def mitsuba_scene(scene: Mapping[str, Any] | None) -> Iterator[tuple[Any, Any]]:
 
 def _loaded(mi: Any, scene: Mapping[str, Any], optimize: bool) -> Any:
     try:
-        # In parallel Mitsuba waits for ever where a single thread works off its tasks: a texture waits for its kernel,
-        # and meanwhile the same thread begins to read an EXR file, which waits for tasks behind it.
-        with tempfile.TemporaryDirectory(prefix="djpt-") as folder:  # meshes in memory, which Mitsuba reads at once
+        # Meshes in memory go through files, which Mitsuba reads at once.
+        with tempfile.TemporaryDirectory(prefix="djpt-") as folder, _a_second_thread():
+            # Several nodes at a time could keep all threads waiting.
             return mi.load_dict(in_files(to_mitsuba(scene), Path(folder)), parallel=False, optimize=optimize)
     except (RuntimeError, TypeError, ValueError) as error:
         raise ComparisonError(f"Mitsuba can't load the scene: {error}") from error
+
+
+@contextlib.contextmanager
+def _a_second_thread() -> Iterator[None]:
+    """Let Dr.Jit have two threads or more: who reads an EXR file in Mitsuba waits for what another thread has to do."""
+    count = dr.thread_count()
+    if count < 2:
+        dr.set_thread_count(2)
+    try:
+        yield
+    finally:
+        if count < 2:
+            dr.set_thread_count(count)
 
 
 def to_mitsuba(scene: Mapping[str, Any]) -> dict[str, Any]:

@@ -23,6 +23,7 @@ from djpt.validation import (
 )
 from djpt.validation.comparands import as_renderer
 from tests.kit.commands import run
+from tests.kit.processes import run_python
 
 pytest.importorskip("scipy")
 
@@ -219,3 +220,21 @@ def test_the_command_stores_references(tmp_path: Path) -> None:
     for wrong in (("--report", "x.png"), ("--store", target, "--json"), ("--store", target, "--report", report)):
         assert run("compare", "cornell_box", *wrong)[0] == 2
     assert run("compare", "cornell_box", "cornell_box", "--store", target)[0] == 2
+
+
+ONE_THREAD = """
+import sys
+import djpt, drjit as dr, numpy as np
+from djpt.validation.bridge import mitsuba_renderer
+dr.set_thread_count(1)
+djpt.write(sys.argv[1], np.ones((8, 16, 3), np.float32))
+scene = djpt.cornell_box()
+scene["sensor"]["film"] |= {"width": 4, "height": 4}
+render = mitsuba_renderer({**scene, "sky": {"type": "envmap", "filename": sys.argv[1]}})
+print(render(1, 0).shape, dr.thread_count())
+"""
+
+
+def test_mitsuba_reads_exr_files_with_a_single_thread(mi: Any, tmp_path: Path) -> None:
+    done = run_python("-c", ONE_THREAD, str(tmp_path / "sky.exr"), timeout=100)
+    assert done.stdout.split("\n")[0] == "(4, 4, 3) 1", done.stderr
