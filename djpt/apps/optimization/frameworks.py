@@ -5,8 +5,8 @@ Neither package is needed until one of these is made: then the one that is used 
 
 from __future__ import annotations
 
-import importlib
-from collections.abc import Callable, Mapping, Sequence
+import contextlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import drjit as dr
@@ -103,14 +103,15 @@ class Rendered:
         return array[..., 0] if array.shape[-1:] == (1,) else array
 
 
-def imported(name: str, package: str) -> Any:
-    """A module of an optional package.
+@contextlib.contextmanager
+def needing(package: str) -> Iterator[None]:
+    """Say which optional package an import needs.
 
     Raises:
         BackendError: The package isn't installed.
     """
     try:
-        return importlib.import_module(name)
+        yield
     except ImportError as error:
         raise BackendError(f"'{package}' isn't installed; its own pages say which build suits the machine") from error
 
@@ -132,10 +133,11 @@ def torch_module(scene: Scene, keys: str | Sequence[str], **options: Any) -> Any
         BackendError: PyTorch isn't installed.
         ParameterError: A parameter is unknown, or has no derivatives.
     """
-    torch = imported("torch", "torch")
+    with needing("torch"):
+        import torch
     rendered = Rendered(scene, keys, options)
 
-    class Image(torch.autograd.Function):  # type: ignore[misc, name-defined]
+    class Image(torch.autograd.Function):  # type: ignore[misc]
         """The image as an operation of PyTorch."""
 
         @staticmethod
@@ -160,7 +162,7 @@ def torch_module(scene: Scene, keys: str | Sequence[str], **options: Any) -> Any
             ]
             return torch.from_numpy(rendered.forward(ctx.values, ctx.seed, given))
 
-    class Module(torch.nn.Module):  # type: ignore[misc, name-defined]
+    class Module(torch.nn.Module):  # type: ignore[misc]
         """A scene whose parameters PyTorch optimises."""
 
         def __init__(self) -> None:
@@ -197,7 +199,8 @@ def jax_function(
     """
     if mode not in ("reverse", "forward"):
         raise ParameterError(f"'mode' must be 'reverse' or 'forward', found '{mode}'")
-    jax = imported("jax", "jax")
+    with needing("jax"):
+        import jax
     rendered = Rendered(scene, keys, options)
     shape = jax.ShapeDtypeStruct(rendered.shape, np.float32)
     of_parameters = tuple(jax.ShapeDtypeStruct(np.shape(v), np.float32) for v in rendered.values.values())
