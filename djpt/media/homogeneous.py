@@ -85,19 +85,29 @@ class Homogeneous(MeasuredMedium):
         self, ray: Ray3f, channel: UInt32 | None, throughput: Color3f, stream: SampleStream, active: Bool
     ) -> Float:
         sigma_t = self.extinction(MediumInteraction3f.on(ray, Float(0)), active)
-        return self.drawn(sigma_t, channel, throughput, stream, active)[0]
+        return self.drawn(self.rates(sigma_t, channel), channel, throughput, stream, active)[0]
+
+    def rates(self, sigma_t: Color3f, channel: UInt32 | None) -> Color3f:
+        """The rates of collisions at which channels draw distances: sigma_t.
+
+        If one `channel` draws all distances of a path, and has no extinction here, it would never find what scatters
+        in the others: it draws by the largest.
+        """
+        if channel is None or not self.has_spectral_extinction():
+            return sigma_t
+        return dr.select(sigma_t > 0, sigma_t, dr.max(sigma_t))
 
     def drawn(
-        self, sigma_t: Color3f, channel: UInt32 | None, throughput: Color3f, stream: SampleStream, active: Bool
+        self, rates: Color3f, channel: UInt32 | None, throughput: Color3f, stream: SampleStream, active: Bool
     ) -> tuple[Float, Color3f | None]:
         """A distance, and the probabilities of the channels that one was drawn from; None if none was."""
         shares = None
         if not self.has_spectral_extinction():
             channel = None
         elif channel is None:
-            shares = channel_probabilities(sigma_t, dr.detach(throughput))
+            shares = channel_probabilities(rates, dr.detach(throughput))
             channel = channel_drawn(shares, stream.next_1d(active))
-        return -dr.log(1 - stream.next_1d(active)) * dr.rcp(of_channel(sigma_t, channel)), shares
+        return -dr.log(1 - stream.next_1d(active)) * dr.rcp(of_channel(rates, channel)), shares
 
     def fly(
         self,
@@ -109,7 +119,7 @@ class Homogeneous(MeasuredMedium):
         active: Bool,
     ) -> Flight:
         sigma_t = self.extinction(MediumInteraction3f.on(ray, Float(0)), active)
-        fixed = dr.detach(sigma_t)
+        fixed = self.rates(dr.detach(sigma_t), channel)
         differentiated = dr.grad_enabled(sigma_t)
         if differentiated:
             # Derivatives by a thin medium are those of scattering that is hardly ever sampled, or never.

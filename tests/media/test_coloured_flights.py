@@ -14,14 +14,17 @@ COUNT = 200_000
 LENGTH = 0.7
 
 
-def flights(sigma_t: tuple[float, ...], throughput: tuple[float, ...]) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
-    """Where light is scattered, and the values (3, COUNT), with the albedo 1."""
+def flights(
+    sigma_t: tuple[float, ...], throughput: tuple[float, ...], channel: int | None = None
+) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+    """Where light is scattered, and the values (3, COUNT), with the albedo 1; sampled by one channel, or by all."""
     medium, sampler = djpt.load_dict(fog(colour(*sigma_t), 1.0)), djpt.load_dict({"type": "independent"})
     sampler.seed(3, COUNT)
     ray = djpt.Ray3f([0.0, 0.0, 0.0], [0.0, 0.0, 1.0])
     active = dr.full(djpt.Bool, True, COUNT)
-    flight = medium.fly(ray, djpt.Float(LENGTH), None, djpt.Color3f(*throughput), sampler, active)
-    values = flight.value * dr.rcp(flight.pdf)
+    drawing = None if channel is None else djpt.UInt32(channel)
+    flight = medium.fly(ray, djpt.Float(LENGTH), drawing, djpt.Color3f(*throughput), sampler, active)
+    values = flight.value * dr.rcp(flight.pdf if channel is None else flight.pdf[channel])
     return np.array(flight.scattered), np.stack([np.broadcast_to(np.array(x), COUNT) for x in values])
 
 
@@ -30,6 +33,16 @@ def flights(sigma_t: tuple[float, ...], throughput: tuple[float, ...]) -> tuple[
 def test_light_that_passes_and_is_scattered(sigma_t: tuple[float, ...], throughput: tuple[float, ...]) -> None:
     """The share exp(-sigma_t d) passes, all else is scattered."""
     scattered, values = flights(sigma_t, throughput)
+    passed = np.exp(-LENGTH * np.array(sigma_t))
+    for share, found in ((passed, values * ~scattered), (1 - passed, values * scattered)):
+        error = found.std(axis=1) / np.sqrt(COUNT)
+        assert (np.abs(found.mean(axis=1) - share) <= 4 * error + 1e-6).all()
+
+
+@pytest.mark.parametrize("channel", [0, 1, 2])
+@pytest.mark.parametrize("sigma_t", [(0.5, 1.0, 2.0), (0.0, 1.0, 2.0)], ids=["dense", "clear in red"])
+def test_each_channel_finds_what_scatters_in_the_others(sigma_t: tuple[float, ...], channel: int) -> None:
+    scattered, values = flights(sigma_t, (1.0, 1.0, 1.0), channel)
     passed = np.exp(-LENGTH * np.array(sigma_t))
     for share, found in ((passed, values * ~scattered), (1 - passed, values * scattered)):
         error = found.std(axis=1) / np.sqrt(COUNT)
