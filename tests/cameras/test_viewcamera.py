@@ -16,7 +16,7 @@ from djpt.errors import ParameterError, SceneError
 from djpt.jit.types import Float, Point2f, Point3f
 from tests.cameras.test_sensors import LOOK
 from tests.cameras.test_wide import described
-from tests.cameras.wide_cameras import LENS, VIEW
+from tests.cameras.wide_cameras import LENS, VIEW, slopes_and_shifted
 from tests.kit.chi_squared import uniform
 from tests.kit.kernels import Watched
 
@@ -166,20 +166,8 @@ def test_rays_follow_all_numbers(name: str) -> None:
     for motion in sensor.motions[1:]:
         key = motion.lstrip("_")
         value, h = float(params[key][0]), 5e-2 if key in ("x_fov", "tilt", "swing", "aperture_rotation") else 1e-3
-        attached = Float(value + (h if "roundness" in key and value == 0 else 0))
-        dr.enable_grad(attached)
-        params[key] = attached
-        params.update()
-        outputs = answers(sensor.attached())
-        dr.forward(attached)
-        slopes = [np.array(dr.grad(x)) for x in outputs]
-        shifted = []
-        for sign in (1, -1):
-            params[key] = value + sign * h
-            params.update()
-            shifted.append([np.array(x, np.float64) for x in answers(sensor)])
-        params[key] = value
-        params.update()
+        start = value + (h if "roundness" in key and value == 0 else 0)
+        slopes, shifted = slopes_and_shifted(sensor, key, value, h, answers, start)
         scale = max(np.abs(high - low).max() for high, low in zip(*shifted, strict=True)) / (2 * h)
         assert scale > 0, key
         for slope, high, low in zip(slopes, *shifted, strict=True):

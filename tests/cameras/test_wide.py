@@ -13,7 +13,7 @@ from djpt.core.transforms import ScalarTransform4f as T
 from djpt.errors import DjptError, SceneError
 from djpt.jit.types import Float, Point2f, Point3f
 from tests.cameras.test_sensors import FILMS, LOOK
-from tests.cameras.wide_cameras import VIEW, WIDE
+from tests.cameras.wide_cameras import VIEW, WIDE, slopes_and_shifted
 from tests.kit.chi_squared import uniform
 from tests.kit.kernels import Watched
 
@@ -52,20 +52,7 @@ def test_rays_follow_all_numbers(name: str) -> None:
     for key in (name for name in sensor.motions if name != "attached_matrix" and name not in unused(sensor)):
         value, h = float(params[key][0]), 1e-2 if "azimuth" in key or "elevation" in key or "fov" in key else 1e-3
         value = max(-89.0, min(value, 89.0)) if "elevation" in key else value
-        attached = Float(value)
-        dr.enable_grad(attached)
-        params[key] = attached
-        params.update()
-        outputs = answers(sensor.attached())
-        dr.forward(attached)
-        slopes = [np.array(dr.grad(x)) for x in outputs]
-        shifted = []
-        for sign in (1, -1):
-            params[key] = value + sign * h
-            params.update()
-            shifted.append([np.array(x, np.float64) for x in answers(sensor)])
-        params[key] = value
-        params.update()
+        slopes, shifted = slopes_and_shifted(sensor, key, value, h, answers)
         for slope, high, low in zip(slopes, *shifted, strict=True):
             expected = (high - low) / (2 * h)
             scale = np.abs(expected).max()

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import Any
 
+import drjit as dr
+import numpy as np
+
+import djpt
+from djpt.jit.types import Float
 from tests.cameras.test_sensors import LOOK
 
-__all__ = ["LENS", "VIEW", "WIDE"]
+__all__ = ["LENS", "VIEW", "WIDE", "slopes_and_shifted"]
 
 WIDE: dict[str, dict[str, Any]] = {
     "equidistant": {"type": "fisheye", "to_world": LOOK, "fov": 170},
@@ -47,3 +53,28 @@ VIEW: dict[str, dict[str, Any]] = {
     },
 }  # fmt: skip
 """Lenses with blades, tilt and shift."""
+
+
+def slopes_and_shifted(
+    sensor: Any, key: str, value: float, h: float, answers: Callable[[Any], Sequence[Any]], at: float | None = None
+) -> tuple[list[np.ndarray], list[list[np.ndarray]]]:
+    """The derivatives of a sensor's `answers` by a parameter, and the answers `h` above and below a value of it.
+
+    The derivatives are those at the value, or `at` another one. The parameter has the value afterwards.
+    """
+    params = djpt.traverse(sensor)
+    attached = Float(value if at is None else at)
+    dr.enable_grad(attached)
+    params[key] = attached
+    params.update()
+    outputs = answers(sensor.attached())
+    dr.forward(attached)
+    slopes = [np.array(dr.grad(x)) for x in outputs]
+    shifted = []
+    for sign in (1, -1):
+        params[key] = value + sign * h
+        params.update()
+        shifted.append([np.array(x, np.float64) for x in answers(sensor)])
+    params[key] = value
+    params.update()
+    return slopes, shifted
