@@ -483,6 +483,10 @@ class Result:
         """Mitsuba's best time and djpt's, by the errors."""
         return [(min(course.seconds(e) for course in self.theirs), self.ours.seconds(e)) for e in TARGETS]
 
+    def cells(self) -> list[str]:
+        """Both times and their ratio, by the errors, in words."""
+        return [f"{seconds(t)} / {seconds(o)} = {ratio(t, o):.2f}" for t, o in self.times()]
+
 
 def solve(mi: Any, problem: Problem) -> Result:
     """Solve a problem in both renderers."""
@@ -521,8 +525,7 @@ def ratio(theirs: float, ours: float) -> float:
 
 def said(result: Result) -> str:
     """A problem's results as a line of text."""
-    cells = [f"{seconds(t)} / {seconds(o)} = {ratio(t, o):.2f}" for t, o in result.times()]
-    return f"{result.problem.name:<34}" + "".join(f"{cell:>24}" for cell in cells)
+    return f"{result.problem.name:<34}" + "".join(f"{cell:>24}" for cell in result.cells())
 
 
 def page(results: list[Result], facts: str, folder: Path) -> str:
@@ -537,8 +540,7 @@ def page(results: list[Result], facts: str, folder: Path) -> str:
         "|---|" + "---|" * len(TARGETS),
     ]
     for result in results:
-        cells = [f" {seconds(t)} / {seconds(o)} = {ratio(t, o):.2f} |" for t, o in result.times()]
-        lines.append(f"| {result.problem.name} |" + "".join(cells))
+        lines.append(f"| {result.problem.name} |" + "".join(f" {cell} |" for cell in result.cells()))
     found = [ratio(t, o) for result in results for t, o in result.times()]
     known = [r for r in found if math.isfinite(r)]
     mean = math.exp(np.mean(np.log(known))) if known else math.nan
