@@ -88,13 +88,9 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
         """The subpath up to a vertex that can be joined: by connections, whose densities are 1, and by mergings."""
         merging, inside = self._merging, vertex.medium_vertex
         if inside is not None:
-            in_medium = self.merging_at(scene, inside.medium, vertex.si.p, inside.inside)
-            merging = dr.select(inside.inside, in_medium, merging)
+            _, sigma_t = scattering_at(scene, inside.medium, vertex.si.p, inside.inside)
+            merging = dr.select(inside.inside, self.point_merging(sigma_t), merging)
         return replace(subpath, vcm=subpath.vcm + merging)
-
-    def merging_at(self, scene: Scene, medium: UInt32, p: Point3f, active: Bool) -> Float:
-        """h(density) of all mergings at a point in a medium, relative to a connection of the same vertices."""
-        return self.point_merging(scattering_at(scene, medium, p, active)[1])
 
     def point_merging(self, sigma_t: Color3f) -> Float:
         """h(density) of merging points in a medium; it has one number for all channels."""
@@ -136,13 +132,13 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
         """The light of the photons about a vertex in a medium, over the path's throughput."""
         assert self.photons is not None
         sigma_s, sigma_t = scattering_at(scene, at.medium, p, joins)
-        here, every = self.point_merging(sigma_t), self.merging_at(scene, at.medium, p, joins)
+        here = self.point_merging(sigma_t)
 
         def worth(photon: Photon) -> Color3f:
             value, pdf, back = phase_evaluated(scene, at.medium, p, at.wi, -photon.d, joins)
             by_light = photon.vcm + photon.vc * self.h(pdf)
             by_camera = subpath.vcm + subpath.vc * self.h(back)
-            return value * photon.flux * mis_weight((every - here + by_light + by_camera) * dr.rcp(here))
+            return value * photon.flux * mis_weight((by_light + by_camera) * dr.rcp(here))
 
         found = self.photons.density_in_medium(p, at.medium, edges, joins, worth)
         covered = inverse_coverage_in_medium(scene, self.photons, p, sampler, dr.max(found) > 0)
