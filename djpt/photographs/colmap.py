@@ -18,7 +18,7 @@ from djpt.core.files import shortened
 from djpt.errors import SceneError, near_miss
 from djpt.models.folder import Folder
 from djpt.photographs.fields import integer, number, numbers
-from djpt.photographs.lens import LARGEST_SIDE, Lens
+from djpt.photographs.lens import LARGEST_SIDE, AllAround, Lens
 from djpt.photographs.photograph import Photographs, Pictures, from_opencv, linear
 
 __all__ = ["MODELS", "lens_of", "read_colmap"]
@@ -35,6 +35,7 @@ MODELS = {
     "RADIAL_FISHEYE": "f cx cy k1 k2",
     "SIMPLE_FISHEYE": "f cx cy",
     "FISHEYE": "fx fy cx cy",
+    "EQUIRECTANGULAR": "w h",
 }
 """The parameters of the camera models that sensors have, in the order of files."""
 
@@ -94,11 +95,11 @@ def suffix_in(folder: Folder) -> str:
     return ".bin" if all(found) else ".txt"
 
 
-def lens_of(model: str, width: Any, height: Any, values: Sequence[Any], where: str) -> Lens:
+def lens_of(model: str, width: Any, height: Any, values: Sequence[Any], where: str) -> Lens | AllAround:
     """The lens of a camera model.
 
     Raises:
-        SceneError: no sensor has it, or the number of its parameters is wrong.
+        SceneError: no sensor has it, the number of its parameters is wrong, or a panorama isn't a whole one.
     """
     if model not in MODELS:
         known = "a camera model that no sensor has" if model in NUMBERED else "not a camera model"
@@ -107,9 +108,14 @@ def lens_of(model: str, width: Any, height: Any, values: Sequence[Any], where: s
     if len(values) != len(names):
         raise SceneError(f"{where}: {model} has {len(names)} parameters ({', '.join(names)}), found {len(values)}")
     found = {name: number(value, f"{where}: {name}") for name, value in zip(names, values, strict=True)}
+    columns, rows = (integer(side, f"{where}: the size", 1, LARGEST_SIDE) for side in (width, height))
+    if model == "EQUIRECTANGULAR":
+        if (found["w"], found["h"]) != (columns, rows):
+            turn = f"{found['w']:g} x {found['h']:g}"
+            raise SceneError(f"{where}: {model} must have the size of the picture, {columns} x {rows}, found {turn}")
+        return AllAround(columns, rows)
     focal = found.pop("f", 0.0)
     fx, fy, cx, cy = (found.pop(name, focal) for name in ("fx", "fy", "cx", "cy"))
-    columns, rows = (integer(side, f"{where}: the size", 1, LARGEST_SIDE) for side in (width, height))
     distortion = {name: value for name, value in found.items() if value}
     try:
         return Lens(columns, rows, fx, fy, cx, cy, fisheye="FISHEYE" in model, coefficients=distortion)
@@ -147,7 +153,7 @@ def lines_of(data: bytes) -> Iterator[tuple[int, str]]:
             yield n, line.strip()
 
 
-def text_cameras(data: bytes) -> Iterator[tuple[int, Lens]]:
+def text_cameras(data: bytes) -> Iterator[tuple[int, Lens | AllAround]]:
     """Cameras: a line of id, model, width, height and parameters for each."""
     for n, line in lines_of(data):
         if line:
@@ -223,7 +229,7 @@ class Reader:
         return found.decode("utf-8", "replace")
 
 
-def binary_cameras(data: bytes) -> Iterator[tuple[int, Lens]]:
+def binary_cameras(data: bytes) -> Iterator[tuple[int, Lens | AllAround]]:
     """Cameras: id, number of the model, width, height and parameters."""
     reader = Reader(data, "cameras.bin")
     for _ in range(reader.count(24)):

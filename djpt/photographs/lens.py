@@ -10,7 +10,7 @@ from typing import Any
 from djpt.errors import SceneError
 from djpt.photographs.fields import integer, number
 
-__all__ = ["FISHEYE", "LARGEST_SIDE", "PERSPECTIVE", "Lens"]
+__all__ = ["FISHEYE", "LARGEST_SIDE", "PERSPECTIVE", "AllAround", "Lens"]
 
 LARGEST_SIDE = 2**16
 """The most columns or rows of a photograph."""
@@ -80,3 +80,29 @@ class Lens:
             "principal_point_offset_x": 0.5 - self.cx / self.width,
             "principal_point_offset_y": 0.5 - self.cy / self.height,
         }
+
+
+@dataclass(frozen=True)
+class AllAround:
+    """An equirectangular picture: columns are azimuths over a full turn, rows elevations from 90 to -90 degrees.
+
+    The middle of the picture shows what is ahead.
+
+    Raises:
+        SceneError: the size isn't one.
+    """
+
+    width: int
+    height: int
+
+    def __post_init__(self) -> None:
+        integer(self.width, "the width", 1, LARGEST_SIDE)
+        integer(self.height, "the height", 1, LARGEST_SIDE)
+
+    def resized(self, width: int, height: int) -> AllAround:
+        """The same picture with another number of pixels."""
+        return AllAround(width, height)
+
+    def entries(self) -> dict[str, Any]:
+        """The entries of a sensor, all but `film` and `to_world`."""
+        return {"type": "panorama"}

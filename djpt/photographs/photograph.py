@@ -19,7 +19,7 @@ from djpt.images.image import read_pixels, reading, require_modest
 from djpt.images.srgb import from_srgb
 from djpt.models.folder import Folder
 from djpt.photographs.fields import LARGEST, integer, numbers
-from djpt.photographs.lens import LARGEST_SIDE, Lens
+from djpt.photographs.lens import LARGEST_SIDE, AllAround, Lens
 
 __all__ = ["Photograph", "Photographs", "Pictures", "from_opencv", "from_opengl", "linear"]
 
@@ -48,7 +48,7 @@ class Photograph:
 
     name: str
     size: tuple[int, int]
-    lens: Lens
+    lens: Lens | AllAround
     to_world: Matrix
     path: Path | None = None
     folder: str = ""
@@ -133,7 +133,7 @@ class Photographs(Sequence[Photograph]):
     def resized(self, width: int, height: int | None = None) -> Photographs:
         """The same with other numbers of pixels; without a `height` the ratios of the sides are kept."""
 
-        def changed(lens: Lens) -> Lens:
+        def changed(lens: Lens | AllAround) -> Lens | AllAround:
             rows = max(1, round(lens.height * width / lens.width)) if height is None else height
             return lens.resized(width, rows)
 
@@ -274,7 +274,7 @@ class Pictures:
         with reading(path), Image.open(path, formats=("PNG", "JPEG", "BMP", "TGA", "PPM", "TIFF")) as file:
             return file.size
 
-    def view(self, name: str, number: int, lens: Lens, to_world: Matrix) -> Photograph:
+    def view(self, name: str, number: int, lens: Lens | AllAround, to_world: Matrix) -> Photograph:
         """The photograph of a camera."""
         folder = "the given pictures" if self.folder is None else self.folder.path
         return Photograph(name, (lens.width, lens.height), lens, to_world, self.find(name, number), folder)

@@ -37,6 +37,7 @@ MODELS: dict[str, tuple[int, list[float]]] = {
     "RADIAL_FISHEYE": (9, [40, 31, 25, 0.02, -0.01]),
     "SIMPLE_FISHEYE": (14, [40, 31, 25]),
     "FISHEYE": (15, [40, 39, 31, 25]),
+    "EQUIRECTANGULAR": (17, [WIDTH, HEIGHT]),
 }
 """COLMAP's models, their numbers, and parameters: pixels count from the corner."""
 

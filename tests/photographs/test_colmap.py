@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import djpt
-from tests.kit.photographs import HEIGHT, MODELS, PLACES, WIDTH, colmap_binary, colmap_text, write
-from tests.photographs.projected import require_as_in_opencv
+from tests.kit.photographs import HEIGHT, MODELS, PLACES, WIDTH, colmap_binary, colmap_text, rotation, write
+from tests.photographs.projected import require_as_in_opencv, shown
 
 
-@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("model", [model for model in MODELS if model != "EQUIRECTANGULAR"])
 def test_every_model_projects_as_opencv_does(model, tmp_path):
     write(tmp_path, colmap_text(model))
     photographs = djpt.load_cameras(tmp_path)
@@ -22,6 +22,22 @@ def test_every_model_projects_as_opencv_does(model, tmp_path):
     coefficients = rest[2:] + [0.0] * (max(0, 4 - len(rest[2:])))
     require_as_in_opencv(photographs, matrix, coefficients, fisheye)
     assert photographs[0].sensor()["type"] == ("fisheye" if fisheye else "perspective")
+
+
+@pytest.mark.parametrize("files", [colmap_text, colmap_binary])
+def test_a_panorama_shows_azimuths_and_elevations(files, tmp_path):
+    """COLMAP's projection: atan2(x, z) over the width, and atan2(-y, hypot(x, z)) over the height."""
+    write(tmp_path, files("EQUIRECTANGULAR"))
+    photographs = djpt.load_cameras(tmp_path)
+    assert photographs[0].sensor()["type"] == "panorama"
+    assert (photographs.resized(32)[0].lens.width, photographs.resized(32)[0].lens.height) == (32, 24)
+    points = np.random.default_rng(0).uniform(-9, 9, (200, 3))
+    for view, (turn, move) in zip(photographs, PLACES, strict=True):
+        x, y, z = (points @ rotation(turn).T + move).T
+        column = (np.arctan2(x, z) / (2 * np.pi) + 0.5) * WIDTH
+        row = (0.5 - np.arctan2(-y, np.hypot(x, z)) / np.pi) * HEIGHT
+        np.testing.assert_allclose(shown(view, points), np.stack([column, row], axis=1), atol=1e-4)
+        assert (z < 0).any() and (z > 0).any()
 
 
 def test_binary_files_say_the_same_as_texts(tmp_path):
@@ -62,6 +78,7 @@ def test_pictures_are_found_above_the_model(tmp_path):
     [
         ("cameras.txt", b"OPENCV", b"FOV", r"line 2: 'FOV' is a camera model that no sensor has; possible: .*PINHOLE"),
         ("cameras.txt", b"OPENCV", b"OPENVC", r"'OPENVC' is not a camera model; did you mean 'OPENCV'"),
+        ("cameras.txt", b"OPENCV", b"EQUIRECTANGULAR", r"EQUIRECTANGULAR has 2 parameters \(w, h\), found 8"),
         ("cameras.txt", b"0.004", b"", r"OPENCV has 8 parameters \(fx, fy, .*\), found 7"),
         ("cameras.txt", b" 60 ", b" -60 ", "focal lengths must be greater than 0"),
         ("cameras.txt", b" 60 ", b" nan ", "fx must be a finite number, found 'nan'"),
@@ -96,6 +113,13 @@ def test_damage_of_binary_files_is_named(tmp_path):
         write(tmp_path, {**files, name: bytes(damaged)})
         with pytest.raises(djpt.SceneError, match=f"^{name}.*{message}"):
             djpt.load_cameras(tmp_path, points=True)
+
+
+def test_a_panorama_of_another_size_is_refused(tmp_path):
+    files = colmap_text("EQUIRECTANGULAR")
+    write(tmp_path, {**files, "cameras.txt": files["cameras.txt"].replace(b" 64 48 64 ", b" 64 48 128 ")})
+    with pytest.raises(djpt.SceneError, match=r"must have the size of the picture, 64 x 48, found 128 x 48"):
+        djpt.load_cameras(tmp_path)
 
 
 def test_a_rotation_of_length_0_is_refused(tmp_path):
