@@ -62,6 +62,8 @@ class PathProjectiveIntegrator(PSIntegrator):
         β, η = Color3f(1) + zero, Float(1) + zero
         depth = UInt32(depth) + UInt32(zero)
         o, d = Point3f(dr.detach(ray.o)) + zero, Vector3f(dr.detach(ray.d)) + zero
+        # That of the sensor's ray, which ends at the far plane, or at once in a dark corner of the film.
+        maxt = Float(dr.detach(ray.maxt)) + zero
         # Where the path was before; of its first ray nothing is asked.
         o_before, d_before, p_before = Point3f(zero), Vector3f(zero) + 1, Point3f(zero)
         pdf_before, delta_before = Float(1) + zero, Bool(zero == 0)
@@ -74,11 +76,12 @@ class PathProjectiveIntegrator(PSIntegrator):
             return self.first_hit(scene, ray, active, from_camera)
 
         while dr.hint(active, label="vertices"):
-            here, previous = Ray3f(o, d), p_before
+            here, previous = Ray3f(o, d, maxt=maxt), p_before
             carried = first | delta_before
             with dr.resume_grad(when=not primal):
                 if dr.hint(not primal, mode="scalar"):
                     moved, previous = rays.attach(here, p_before)
+                    moved.maxt = maxt
                     here = moved if carries else here
                 si = self.first_hit(scene, here, active, first & (depth == 0))
                 if dr.hint(not primal, mode="scalar"):
@@ -148,7 +151,7 @@ class PathProjectiveIntegrator(PSIntegrator):
 
             way_before = Ray3f(o_before, d_before)
             o_before, d_before, p_before = Point3f(o), Vector3f(d), Point3f(still.p)
-            o, d = Point3f(onward_ray.o), Vector3f(onward_ray.d)
+            o, d, maxt = Point3f(onward_ray.o), Vector3f(onward_ray.d), Float(onward_ray.maxt)
             pdf_before, delta_before = Float(bs.pdf), has_flag(bs.sampled_type, DELTA)
             η = dr.select(onward, η * bs.eta, η)
             β = Color3f(throughput)

@@ -530,6 +530,24 @@ CASES |= {
 CASES["a lens: a ball moves"] = Case(lambda: lens("a ball"), shift("ball.to_world"), spp=512)
 
 
+def circled(**nodes: Any) -> dict[str, Any]:
+    """What a fisheye sees whose film reaches past its image circle; outlines cross the edge of the circle."""
+    return {**nodes, "sensor": sensor(type="fisheye", image_circle=16.0, principal_point_offset_x=0.1)}
+
+
+SHINING = ball(center=[0.35, 0.2, 0], radius=0.7, emitter={"type": "area", "radiance": SPOTS})
+CASES |= {
+    f"an image circle, {name}: a globe": Case(
+        lambda: circled(globe=SHINING), move, step=0.01, spp=512, spp_difference=16384, settings={"sppi": 0}
+    )
+    for name, move in (("turn", turn_head), ("what is seen", shift("globe.to_world")))
+}
+BARREL = sensor(fov=60, k1=-0.9)
+CASES["a picture that folds, turn: the light of a point"] = Case(
+    lambda: {**lens("a ball"), "sensor": BARREL}, turn_head, spp=2048
+)
+
+
 def pair() -> dict[str, Any]:
     """Two cameras side by side, of different kinds."""
     film = {"type": "hdrfilm", "width": SIZE, "height": SIZE, "rfilter": {"type": "box"}, "pixel_format": "rgb"}
@@ -596,6 +614,7 @@ CASES |= {
 }
 QUICK = {
     "two cameras: they move": "direct_projective",
+    "an image circle, turn: a globe": "prb_projective",
     "a light that moves: a spot": "direct_projective",
     "a light that moves: the sun": "prb_projective",
     "parallel rays: a camera": "direct_projective",

@@ -244,3 +244,18 @@ def test_places_on_the_film() -> None:
     assert np.array(place).ravel() == pytest.approx(
         [SIZE * (0.5 - 0.3 / width * -1), SIZE * (0.5 - 0.2 / width)], rel=0.2
     )
+
+
+@pytest.mark.parametrize("kind", INTEGRATORS)
+def test_rays_end_at_the_far_plane(kind: str) -> None:
+    """What is behind isn't seen, and throws shadows and light all the same."""
+    film = {"type": "hdrfilm", "width": 8, "height": 8, "rfilter": {"type": "box"}, "pixel_format": "rgb"}
+    place = T().look_at([0, 0, 6], [0, 0, 0], [0, 1, 0])
+    camera = {"type": "perspective", "fov": 40, "to_world": place, "film": film, "far_clip": 6.0}
+    floor = {"type": "rectangle", "to_world": T().translate([0, 0, -1.5]).scale(4)}
+    nodes = {"ball": {"type": "sphere"}, "floor": floor}
+    made = djpt.load_dict({"type": "scene", "sensor": camera, **nodes, "sky": {"type": "constant", "radiance": 0.5}})
+    integrators = (djpt.load_dict({"type": name, "max_depth": 2}) for name in (kind, "path"))
+    found, expected = (np.array(djpt.render(made, integrator=chosen, spp=256)) for chosen in integrators)
+    np.testing.assert_allclose(found, expected, atol=0.05)
+    assert expected[0] == pytest.approx(0.5)

@@ -30,18 +30,18 @@ BUMPS = {"type": "bitmap", "data": TensorXf(np.random.default_rng(0).random((4, 
 SPOTS = {"type": "bitmap", "data": TensorXf(np.random.default_rng(1).random((4, 4, 3)).astype(np.float32)), "raw": True}
 FLOOR = {"type": "rectangle", "to_world": T().translate([0, 0, -1.5]).scale(4)}
 GLASS = {"type": "dielectric"}
+SENSOR = {
+    "type": "perspective",
+    "fov": 40,
+    "to_world": T().look_at([0, 0, 6], [0, 0, 0], [0, 1, 0]),
+    "film": {"type": "hdrfilm", "width": 4, "height": 4, "rfilter": {"type": "box"}, "pixel_format": "rgb"},
+}
 
 
 def room(**nodes: Any) -> dict[str, Any]:
     """A ball over a floor in the light of a lamp, seen from above."""
-    film = {"type": "hdrfilm", "width": 4, "height": 4, "rfilter": {"type": "box"}, "pixel_format": "rgb"}
-    place = T().look_at([0, 0, 6], [0, 0, 0], [0, 1, 0])
-    parts = {"floor": FLOOR, "lamp": LAMP, "moving": {"type": "sphere", "bsdf": PLASTER}, **nodes}
-    return {
-        "type": "scene",
-        "sensor": {"type": "perspective", "fov": 40, "to_world": place, "film": film},
-        **{name: node for name, node in parts.items() if node is not None},
-    }
+    parts = {"floor": FLOOR, "lamp": LAMP, "moving": {"type": "sphere", "bsdf": PLASTER}, "sensor": SENSOR, **nodes}
+    return {"type": "scene", **{name: node for name, node in parts.items() if node is not None}}
 
 
 def moved(description: dict[str, Any]) -> tuple[Any, Float]:
@@ -105,6 +105,14 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     "a coarse lamp": (
         {"moving": {"type": "rectangle", "emitter": {"type": "area", "radiance": {**SPOTS, "filter_type": "nearest"}}}},
         "'moving' has the texture '.*' .bitmap., and the edges between its colours",
+    ),
+    "a far plane": (
+        {"sensor": {**SENSOR, "far_clip": 7.0}},
+        r"'floor' reaches beyond the 'far_clip' .7. of 'sensor' .perspective., and what ends there isn't followed",
+    ),
+    "a far sphere": (
+        {"sensor": {**SENSOR, "type": "fisheye", "far_clip": 7.0}},
+        r"'floor' reaches beyond the 'far_clip' .7. of 'sensor' .fisheye.",
     ),
     "a lamp in a floor": (
         {"moving": {"type": "sphere", "center": [0, 0, -1.2], "emitter": {"type": "area"}}},
@@ -435,6 +443,22 @@ def test_cameras_that_move(kind: str) -> None:
     ):
         with pytest.raises(RenderError, match=message):
             djpt.render(with_camera(**nodes), integrator=integrator(kind), spp=1)
+
+
+@pytest.mark.parametrize(("height", "refused"), [(6.0, False), (-3.0, True)])
+def test_the_horizon_of_a_plane(height: float, refused: bool) -> None:
+    """It is seen by a camera that looks ahead, and not by one that looks down."""
+    place = T().look_at([0, -6, 2], [0, 0, 2 - 0.7 * height], [0, 0, 1])
+    scene = djpt.load_dict(room(floor={"type": "plane"}, sensor={**SENSOR, "to_world": place}))
+    params = djpt.traverse(scene)
+    params["sensor.x_fov"] = dr.opaque(Float, 40)
+    dr.enable_grad(params["sensor.x_fov"])
+    params.update()
+    if refused:
+        with pytest.raises(RenderError, match=r"'floor' reaches beyond the 'far_clip' \(10000\)"):
+            djpt.render(scene, integrator=integrator(), spp=1)
+    else:
+        assert dr.grad_enabled(djpt.render(scene, integrator=integrator(), spp=1))
 
 
 @pytest.mark.parametrize("kind", ["path", "prb", "bdpt", "ptracer", "depth"])

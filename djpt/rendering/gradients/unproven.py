@@ -7,6 +7,7 @@ them; integrators whose `unproven_gradients` is true go on.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -19,8 +20,11 @@ from djpt.description.plugin import Plugin
 from djpt.description.registry import name_of
 from djpt.errors import RenderError
 from djpt.jit.frozen import recording
+from djpt.jit.types import Point2f
 from djpt.rendering.gradients.meetings import meeting_pairs
 from djpt.scene.intersecting_shapes import between, encloses, is_convex, is_sphere
+from djpt.sensors.orthographic import Orthographic
+from djpt.sensors.projective import Central, ProjectiveCamera
 
 if TYPE_CHECKING:
     from djpt.integrators.base import Integrator
@@ -239,10 +243,46 @@ def hidden_by(shape: Any, rendering: Rendering) -> Iterator[str]:
 
 
 def image_circles(rendering: Rendering) -> Iterator[str]:
-    """Cameras with a circle on the film outside of which nothing is shown."""
+    """Cameras with a circle on the film outside of which nothing is shown, and whose lens has gradients.
+
+    Wherever the camera stands and whatever it sees, the circle stays where it is on the film.
+    """
+    for camera in () if rendering.camera is None else rendering.camera.members():
+        names = [name for name in camera.attached_names() if name != "attached_matrix"]
+        if camera.has_image_circle and names:
+            yield f"{named(camera)} leaves a part of its film dark, and '{names[0]}' has gradients"
+
+
+def far_planes(rendering: Rendering) -> Iterator[str]:
+    """Shapes that reach beyond the far plane of a camera; of infinite planes, those whose horizon it may show."""
     for camera in () if rendering.sensor is None or not rendering.movers() else rendering.sensor.members():
-        if camera.has_image_circle:
-            yield f"{named(camera)} leaves a part of its film dark"
+        if not isinstance(camera, ProjectiveCamera):
+            continue
+        axis, origin = camera.to_world.matrix[:3, 2], camera.to_world.translation()
+        for shape in rendering.seen:
+            corners = np.array(list(itertools.product(*np.transpose(shape.world_box())))) - origin
+            if not np.isfinite(corners).all():
+                # The edge of a plane is at the far plane, and moves if the camera does.
+                cut = rendering.camera is not None and shows_horizon(camera, shape)
+            elif isinstance(camera, Central | Orthographic):
+                cut = bool((corners @ axis).max() > camera.far_clip())
+            else:
+                cut = bool(np.linalg.norm(corners, axis=1).max() > camera.far_clip())
+            if cut:
+                yield f"'{shape.id()}' reaches beyond the 'far_clip' ({camera.far_clip():g}) of {named(camera)}"
+
+
+def shows_horizon(camera: Any, plane: Any) -> bool:
+    """Whether rays through the border of the film miss an infinite plane."""
+    normal, offset = plane.plane()
+    along, corner = np.meshgrid(np.linspace(0, 1, 17), np.arange(4), indexing="ij")
+    x, y = (np.where(corner % 2 == k, along, corner // 2).ravel() for k in range(2))
+    with dr.suspend_grad():
+        ray = camera.ray_through(Point2f(x.astype(np.float32), y.astype(np.float32)), Point2f(0.5))
+    o, d = (np.array(v, np.float64).T for v in (ray.o, ray.d))
+    with np.errstate(divide="ignore"):
+        t = (offset - o @ normal) / (d @ normal)
+    return bool(((t <= 0) | (t > np.array(ray.maxt))).any())
 
 
 def shifted(box: tuple[Any, Any], by: Any) -> tuple[Any, Any]:
@@ -294,10 +334,17 @@ CASES: tuple[Case, ...] = (
         bounded_beams,
     ),
     Case(
-        "a camera whose image circle leaves a part of the film dark",
-        "how outlines cross the edge of the circle, and how it moves, isn't followed",
+        "a lens with gradients whose image circle leaves a part of the film dark",
+        "how the edge of the circle moves on the film isn't followed",
         "choose a smaller field of view, or a crop, that leaves the dark corners out",
         image_circles,
+    ),
+    Case(
+        "a camera whose far plane cuts or hides a shape; an infinite `plane` whose horizon a camera sees that moves",
+        "what ends there isn't followed",
+        "give 'far_clip' a larger value, and in place of the plane a large rectangle",
+        far_planes,
+        needs_numbers=True,
     ),
     Case(
         "a light that moves or turns, rendered by paths that begin at lights",
