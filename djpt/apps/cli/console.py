@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import sys
 from collections.abc import Iterator, Sequence
 from enum import IntEnum
@@ -14,6 +15,8 @@ from djpt.core.files import reason
 from djpt.core.interruption import Terminated
 from djpt.core.terminal import visible
 from djpt.errors import BackendError, DjptError, RenderError, SceneError
+from djpt.jit.backends import VARIANTS
+from djpt.jit.llvm.finder import libatomic_missing, prepare
 
 __all__ = [
     "Command",
@@ -42,13 +45,29 @@ class ExitCode(IntEnum):
 class Command(click.Command):
     """A command whose errors that a user can cause are one line and an exit code, without a traceback."""
 
+    def __init__(self, *arguments: Any, renders: bool = True, **options: Any) -> None:
+        """`renders`: the command uses the backend, and fetches LLVM where this machine has none."""
+        super().__init__(*arguments, **options)
+        self._renders = renders
+
     def invoke(self, ctx: click.Context) -> Any:
         with readable_errors():
+            if self._renders:
+                provide_backend()
             return super().invoke(ctx)
 
     def get_short_help_str(self, limit: int = 45) -> str:
         """The first sentence of the help, which Click would cut off."""
         return (self.help or "").partition("\n")[0]
+
+
+def provide_backend() -> None:
+    """Fetch what the CPU backend lacks on this machine, if that is allowed: see `djpt.jit.llvm.installer`."""
+    on_gpu = VARIANTS.get(os.environ.get("DJPT_VARIANT", "")) == "cuda"
+    if not on_gpu and (prepare().chosen is None or libatomic_missing()):
+        from djpt.jit.llvm.installer import provide
+
+        provide()
 
 
 @contextlib.contextmanager

@@ -23,8 +23,7 @@ from djpt.apps.cli.console import Command
 from djpt.core.terminal import beneath, visible
 from djpt.errors import BackendError
 from djpt.jit.backends import VARIANTS, variant
-from djpt.jit.llvm.finder import PATH_VARIABLE, SEARCH_VARIABLE, Search, search
-from djpt.jit.llvm.installer import libatomic_missing
+from djpt.jit.llvm.finder import PATH_VARIABLE, SEARCH_VARIABLE, Search, libatomic_missing, search
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -256,7 +255,7 @@ def main() -> int:
     return 0 if report.usable else 3
 
 
-@click.command("doctor", cls=Command)
+@click.command("doctor", cls=Command, renders=False)
 def command() -> None:
     """Report what djpt found on this machine, and how to fix problems.
 

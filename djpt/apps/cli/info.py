@@ -123,7 +123,7 @@ def info(scene: str, define: tuple[str, ...], structures: bool) -> None:
         print(f"\n{compare_structures(loaded)}")
 
 
-@click.command("scenes", cls=Command)
+@click.command("scenes", cls=Command, renders=False)
 def scenes() -> None:
     """List the built-in scenes."""
     from djpt import scenes as built_in

@@ -24,8 +24,10 @@ __all__ = [
     "SEARCH_VARIABLE",
     "Candidate",
     "Search",
+    "libatomic_missing",
     "prepare",
     "private_folders",
+    "remedies",
     "search",
 ]
 
@@ -103,7 +105,7 @@ class Search:
         else:
             lines.append(f"The CPU backend of Dr.Jit needs a shared LLVM library, version {MINIMUM} or newer.")
             lines.append("Any one of these installs it:")
-        lines += _remedies()
+        lines += remedies()
         if not self.from_user:
             where = f" ({SEARCH_VARIABLE}={os.pathsep.join(self.folders)})" if self.folders else ""
             if self.rejected:
@@ -114,7 +116,7 @@ class Search:
         return "\n".join(lines)
 
 
-def _remedies() -> list[str]:
+def remedies() -> list[str]:
     """The commands that install a usable LLVM on this platform, one per line."""
     if sys.platform == "darwin":
         table = [("brew install llvm", "Homebrew"), ("conda install -c conda-forge libllvm19", "conda")]
@@ -129,7 +131,7 @@ def _remedies() -> list[str]:
             ("conda install -c conda-forge libllvm19", "conda"),
         ]
         if platform.machine() == "x86_64":
-            table.insert(0, ("python -m djpt.jit.llvm", "into this Python environment, no root needed"))
+            table.insert(0, ("python -m djpt.jit.llvm", "into this Python environment, without root"))
         names = "libLLVM.so"
     width = max(len(command) for command, _ in table) + 2
     lines = [f"    {command:<{width}}{note}" for command, note in table]
@@ -261,6 +263,13 @@ def _open_private_libatomic() -> None:
         path = os.path.join(folder, "libatomic.so.1")
         if os.path.exists(path) and _opens(path):
             return
+
+
+def libatomic_missing() -> bool:
+    """True if Dr.Jit can't be imported because libatomic.so.1 is missing (its Linux wheels link it)."""
+    if sys.platform != "linux":
+        return False
+    return not any(map(_opens, ["libatomic.so.1", *(f"{folder}/libatomic.so.1" for folder in private_folders())]))
 
 
 def search() -> Search:
