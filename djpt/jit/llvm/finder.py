@@ -12,7 +12,6 @@ from __future__ import annotations
 import ctypes
 import functools
 import os
-import platform
 import re
 import sys
 from dataclasses import dataclass, replace
@@ -116,8 +115,8 @@ class Search:
         return "\n".join(lines)
 
 
-def remedies() -> list[str]:
-    """The commands that install a usable LLVM on this platform, one per line."""
+def remedies(private: bool = True) -> list[str]:
+    """The commands that install a usable LLVM on this platform, one per line; `private`: also the one of djpt."""
     if sys.platform == "darwin":
         table = [("brew install llvm", "Homebrew"), ("conda install -c conda-forge libllvm19", "conda")]
         names = "libLLVM.dylib"
@@ -130,7 +129,7 @@ def remedies() -> list[str]:
             ("sudo dnf install -y llvm-libs libatomic", "Fedora"),
             ("conda install -c conda-forge libllvm19", "conda"),
         ]
-        if platform.machine() == "x86_64":
+        if private:
             table.insert(0, ("python -m djpt.jit.llvm", "into this Python environment, without root"))
         names = "libLLVM.so"
     width = max(len(command) for command, _ in table) + 2

@@ -96,11 +96,13 @@ def fetch_llvm(names: Sequence[str]) -> None:
                 raise BackendError("its library can't be opened on this machine")
         except BackendError as error:
             reasons.append(f"    {name}: {error}")
-            say(f"{name}: {str(error).splitlines()[0]}")
+            say(f"that failed: {str(error).splitlines()[-1].strip()}")
         else:
             say(f"LLVM is in {folder}")
             return
-    raise BackendError("\n".join(["LLVM can't be fetched:", *reasons, "Any one of these installs it:", *remedies()]))
+    raise BackendError(
+        "\n".join(["LLVM can't be fetched:", *reasons, "Any one of these installs it:", *remedies(private=False)])
+    )
 
 
 def fetch_libatomic() -> None:

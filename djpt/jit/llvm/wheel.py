@@ -40,7 +40,7 @@ def fetch(folder: Path, say: Callable[[str], None]) -> None:
     with tempfile.TemporaryDirectory(dir=folder) as name:
         temporary = Path(name)
         pip = [sys.executable, "-m", "pip", "--disable-pip-version-check"]
-        options = ["--quiet", "--no-deps", "--only-binary=:all:", "--dest", name, *TAGS]
+        options = ["--quiet", "--retries=1", "--no-deps", "--only-binary=:all:", "--dest", name, *TAGS]
         output_of([*pip, "download", *options, WHEEL], f"download {WHEEL} from the package index")
         wheel = next(temporary.glob("*.whl"))
         if sha256(wheel) != SHA256:
