@@ -16,6 +16,7 @@ from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 from djpt.errors import BackendError
+from djpt.jit.llvm.finder import libatomic_missing
 from djpt.jit.llvm.private_copy import output_of, put
 
 __all__ = ["fetch", "fetch_libatomic"]
@@ -101,14 +102,14 @@ class Apt:
 
 
 def fetch(folder: Path, say: Callable[[str], None]) -> None:
-    """Put the LLVM of the distribution into a folder, with the libraries that it needs and the system lacks.
+    """Put the LLVM of the distribution into a folder, with the libraries that it, and Dr.Jit, need and the system lacks.
 
     `say` prints a line before the download.
 
     Raises:
         BackendError: No apt-get, no LLVM that is new enough, no network or no space.
     """
-    _fetch(folder, NAMES, say)
+    _fetch(folder, NAMES, say, ("libatomic1",) if libatomic_missing() else ())
 
 
 def fetch_libatomic(folder: Path, say: Callable[[str], None]) -> None:
@@ -116,7 +117,7 @@ def fetch_libatomic(folder: Path, say: Callable[[str], None]) -> None:
     _fetch(folder, ("libatomic1",), say)
 
 
-def _fetch(folder: Path, names: Sequence[str], say: Callable[[str], None]) -> None:
+def _fetch(folder: Path, names: Sequence[str], say: Callable[[str], None], others: Sequence[str] = ()) -> None:
     if not (shutil.which("apt-get") and shutil.which("dpkg-deb")):
         raise BackendError("this system has no apt-get")
     # Beside the target, since /tmp may be small, or on another disk.
@@ -125,7 +126,7 @@ def _fetch(folder: Path, names: Sequence[str], say: Callable[[str], None]) -> No
         name = apt.first_of(names)
         if name is None:
             raise BackendError(f"the distribution has none of {', '.join(names)}")
-        packages = apt.lacking(name)
+        packages = apt.lacking(name, *others)
         if not packages:
             raise BackendError(f"{name} is installed already")
         if any(package.name in NEVER for package in packages):
