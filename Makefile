@@ -21,7 +21,7 @@ help:
 	@echo 'make format   let ruff format the code and sort the imports'
 	@echo 'make check    lint and all tests; one of them builds the documentation'
 	@echo 'make check-cuda    tests on a GPU, if there is one'
-	@echo 'make bench    measure against Mitsuba'
+	@echo 'make bench    measure against Mitsuba, and note it in benchmarks/history.jsonl'
 	@echo 'make bench-cuda    measure on a GPU, if there is one, against Mitsuba and the processor'
 	@echo 'make docs     build the documentation in build/docs, warnings are errors'
 	@echo 'make release  build the wheel, try it in an empty environment, write hashes, notes and a bill of materials to dist/'
@@ -66,8 +66,9 @@ check-cuda: $(READY)  # without a GPU it says so and is content
 	@if $(PY) -m tests.kit.devices; then DJPT_VARIANT=cuda_ad_rgb $(PY) -m pytest -q -m cuda; fi
 
 bench: $(READY)
-	@status=0; for name in versus_mitsuba meshes materials lights many_lights ptracer media; do \
-	$(PY) benchmarks/$$name.py || status=1; done; exit $$status
+	@status=0; for name in versus_mitsuba meshes materials lights ptracer media; do \
+	$(PY) benchmarks/$$name.py --history || status=1; done; $(PY) benchmarks/many_lights.py || status=1; \
+	$(PY) benchmarks/history.py; exit $$status
 
 bench-cuda: $(READY)  # without a GPU it says so and is content
 	@$(PY) benchmarks/cuda.py

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import mitsuba as mi
+from history import append, entry
 
 from djpt.apps.benchmarks.measuring import heading, machine, times_in_pairs
 from djpt.jit.backends import load_backend
@@ -105,6 +106,7 @@ def report(description: str, what: str, all_rows: Callable[[int, bool], Iterator
     parser.add_argument("--quick", action="store_true", help="3 pairs, and smaller images")
     parser.add_argument("--pairs", type=int, help="pairs of each row (default 7)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the numbers to FILE as well")
+    parser.add_argument("--history", action="store_true", help="append the ratios to benchmarks/history.jsonl")
     parser.add_argument("--lanes", type=int, choices=(8, 16), help="compile for AVX2 or AVX-512")
     arguments = parser.parse_args()
     pairs = arguments.pairs or (3 if arguments.quick else 7)
@@ -126,4 +128,6 @@ def report(description: str, what: str, all_rows: Callable[[int, bool], Iterator
     if arguments.json:
         numbers = [{**asdict(row), "measured": row.measured, "passed": row.passed} for row in rows]
         arguments.json.write_text(json.dumps({"machine": facts, "rows": numbers}, indent=1) + "\n")
+    if arguments.history:
+        append(entry(Path(sys.argv[0]).stem, facts, [(row.what, row.measured) for row in rows if not row.at_most]))
     return 0 if all(row.passed for row in rows) else 1

@@ -102,9 +102,9 @@ class Apt:
 
 
 def fetch(folder: Path, say: Callable[[str], None]) -> None:
-    """Put the LLVM of the distribution into a folder, with the libraries that it, and Dr.Jit, need and the system lacks.
+    """Put the LLVM of the distribution into a folder, with all libraries that it needs and the system lacks.
 
-    `say` prints a line before the download.
+    Also the libatomic of Dr.Jit. `say` prints a line before the download.
 
     Raises:
         BackendError: No apt-get, no LLVM that is new enough, no network or no space.
