@@ -7,8 +7,8 @@ In `dist/`, for the version of `djpt/version.py`, which must be a section of the
 * ``SHA256SUMS``, with ``--sign`` also its signature by gpg, ``SHA256SUMS.asc``;
 * ``NOTES.md``: the section of the changelog, how the wheel was tried, and the hashes.
 
-The wheel is tried as a stranger would: in a new environment, with an empty home, it fetches LLVM if the system has
-none and renders a picture. Needs the package index. Nothing is published, and no tag is made: the last lines
+The wheel is tried as a stranger would: in a new environment, with an empty home, one command fetches LLVM if the system
+has none and renders a picture. Needs the package index. Nothing is published, and no tag is made: the last lines
 printed say how to.
 """
 
@@ -93,7 +93,6 @@ def tried(wheel: Path, bill: Path, folder: Path) -> str:
     home = folder / "home"
     home.mkdir()
     bare = {"HOME": str(home), "PATH": f"{python.parent}:/usr/bin:/bin"}
-    run([python, "-m", "djpt.jit.llvm", "--if-needed"], cwd=home, env=bare)
     run([python.parent / "djpt", "render", "cornell_box", "-o", "first.png"], cwd=home, env=bare)
     rendered, used = time.monotonic(), cpu_time() - before
     if used > FIRST_PICTURE:
