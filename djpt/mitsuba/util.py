@@ -44,17 +44,22 @@ def write_bitmap(filename: str | os.PathLike[str], data: Any, write_async: bool 
     Args:
         filename: Of the file.
         data: As for `convert_to_bitmap`.
-        write_async: No effect: the file is complete on return.
+        write_async: Creates the file's folder if need be; else a folder that doesn't exist is an error. The file is
+            complete on return in both cases. Mitsuba, whose thread can't report the error, writes nothing.
         quality: See `Bitmap.write`.
 
     Raises:
         SceneError: `data` isn't an image, or has channels that aren't colours and the format is one for displays.
         FileError: the file can't be written.
     """
-    suffix = as_path(filename).suffix.lower()
+    path = as_path(filename)
+    suffix = path.suffix.lower()
     bitmap = convert_to_bitmap(data, uint8_srgb=suffix in DISPLAY_FORMATS)
     if suffix in SINGLE and bitmap.component_format() is Type.Float64:
         bitmap = bitmap.convert(component_format=Type.Float32)
+    if write_async:
+        with contextlib.suppress(OSError):  # said by `write` in words that name the file
+            path.parent.mkdir(parents=True, exist_ok=True)
     bitmap.write(filename, quality=quality)
 
 

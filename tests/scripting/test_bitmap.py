@@ -439,6 +439,18 @@ def test_formats_of_textures_are_mitsubas_precisions() -> None:
         np.testing.assert_allclose(texels["uint8", srgb], decoded, rtol=1e-6)
 
 
+def test_write_bitmap_creates_the_folder(tmp_path: Path) -> None:
+    image = np.full((4, 4, 3), 0.5, np.float32)
+    djpt.util.write_bitmap(tmp_path / "results" / "first" / "a.exr", image)
+    assert np.array_equal(np.array(Bitmap(str(tmp_path / "results" / "first" / "a.exr"))), image)
+    with pytest.raises(djpt.FileError, match="others"):
+        djpt.util.write_bitmap(tmp_path / "others" / "a.exr", image, write_async=False)
+    assert not (tmp_path / "others").exists()
+    (tmp_path / "file").write_text("")
+    with pytest.raises(djpt.FileError, match="file"):
+        djpt.util.write_bitmap(tmp_path / "file" / "a.exr", image)
+
+
 def test_verbs_make_and_write_bitmaps(tmp_path: Path) -> None:
     image = djpt.TensorXf(numbers("RGBA", "Float32"))
     bitmap = djpt.util.convert_to_bitmap(image)
