@@ -18,7 +18,7 @@ USD = (".usd", ".usda", ".usdc", ".usdz")
 SUFFIXES = (".glb", ".gltf", ".obj", ".stl", ".off", ".3mf", ".ply", *USD)
 """The suffixes of model files."""
 
-STAGE = ("up", "camera", "stage")
+STAGE = ("up", "camera", "stage", "cull")
 """Parameters of `djpt.models.stage.staged`."""
 
 
@@ -50,7 +50,8 @@ def read_model(path: str | os.PathLike[str], root: str | os.PathLike[str] | None
         root: the folder outside of which no file is read; default: that of the file.
         parameters: `up` (the axis that points up), `camera` (the number of the file's camera, or None for one that
             frames the model), `stage` (whether there is a sky and a ground; default: where the file has no lights),
-            and those of the format's reader. Texts, as the command line gives them, are converted.
+            `cull` (whether what is seen from behind is left out where the file asks for it; default: no), and
+            those of the format's reader. Texts, as the command line gives them, are converted.
 
     Raises:
         FileError: the file can't be read.

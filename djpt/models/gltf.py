@@ -283,15 +283,17 @@ class Reader:
             raise self.file.error(f"{where}: {len(normals)} normals for {len(positions)} vertices")
         data = MeshData(positions, corners, None if normals is None else unit(normals))
         colors = self._colors(attributes, len(positions), where)
-        material = self._material(node)
-        uv_set = self.materials.uv_set(material)
-        uv = attributes.get(f"TEXCOORD_{uv_set}")
-        if uv is not None:
-            texcoords = self.file.accessor(uv, 2).astype(np.float32)
-            if len(texcoords) != len(positions):
-                raise self.file.error(f"{where}: {len(texcoords)} texture coordinates for {len(positions)} vertices")
-            data.texcoords = np.nan_to_num(texcoords, nan=0.0, posinf=0.0, neginf=0.0)
-        return self.materials.parts(material, data, colors, where)
+        coordinates = {}
+        for key, accessor in attributes.items():
+            if key.startswith("TEXCOORD_"):
+                texcoords = self.file.accessor(accessor, 2).astype(np.float32)
+                if len(texcoords) != len(positions):
+                    raise self.file.error(
+                        f"{where}: {len(texcoords)} texture coordinates for {len(positions)} vertices"
+                    )
+                finite = np.nan_to_num(texcoords, nan=0.0, posinf=0.0, neginf=0.0)
+                coordinates[key.removeprefix("TEXCOORD_")[:4]] = finite
+        return self.materials.parts(self._material(node), data, coordinates, colors, where)
 
     def _material(self, node: dict[str, Any]) -> int | None:
         """The number of a primitive's material, in the chosen variant."""

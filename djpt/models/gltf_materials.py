@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from djpt.models.gltf_file import GltfFile, numbers, scalar
-from djpt.models.gltf_textures import Pixels, Textures, decoded, encoded
-from djpt.models.model import Model, Part
+from djpt.models.gltf_textures import Textures
+from djpt.models.model import Matrix, Model, Part
+from djpt.models.textures import LINEAR, Lookup, encoded_bytes
 from djpt.shapes.meshes.data import MeshData
 
 __all__ = ["Materials"]
@@ -19,6 +21,28 @@ COAT = 0.1
 """The largest alpha of the coat of `principled`."""
 SMALLEST_ETA = 1.01
 """An interface that reflects nothing would be none, for metals as well."""
+
+
+Vertices = dict[str, NDArray[np.float32]]
+"""Values of vertices, (V, C), by name."""
+
+
+@dataclass(frozen=True)
+class Paint:
+    """What the colours of a mesh's vertices make of its material."""
+
+    color: tuple[float, ...] = (1.0, 1.0, 1.0)
+    """The colour of all vertices, if it is the same."""
+    opacity: float = 1.0
+    names: tuple[str, ...] = ()
+    """Those of `Part.tints` that vary."""
+
+    def on(self, value: Any, name: str) -> Any:
+        """A colour, a number or a texture, times the tint of a name if there is one."""
+        if name not in self.names:
+            return value
+        node = {"type": "uniform", "value": value} if isinstance(value, float) else value
+        return {**node, "tint": name}
 
 
 class Materials:
@@ -35,38 +59,6 @@ class Materials:
         self.textures = Textures(file, model, largest)
         self._made: dict[Any, Any] = {}
         """Names of nodes, and pixels of emission, by all that they depend on."""
-        self._sets: dict[int | None, int] = {}
-
-    # ---- texture coordinates ---------------------------------------------------------------
-
-    def uv_set(self, number: int | None) -> int:
-        """The set of texture coordinates that a material uses; a mesh has one here."""
-        if number is None:
-            return 0
-        if number not in self._sets:
-            used: dict[int, str] = {}
-            for name, info in self._infos(self.file.at("materials", number)).items():
-                used.setdefault(self._set_of(info), name)
-            self._sets[number] = next(iter(used), 0)
-            if len(used) > 1:
-                kept, *others = used.values()
-                self.model.say(f"'{others[0]}' has texture coordinates of its own; it uses those of '{kept}'")
-        return self._sets[number]
-
-    def _infos(self, material: dict[str, Any]) -> dict[str, Any]:
-        """The references to textures that are used, the most important one first."""
-        base = self._base(material)
-        gloss = self.file.extension(material, "KHR_materials_pbrSpecularGlossiness")
-        found = {"baseColorTexture": base.get("baseColorTexture"), "diffuseTexture": gloss.get("diffuseTexture")}
-        found |= {"specularGlossinessTexture": gloss.get("specularGlossinessTexture")}
-        found |= {"normalTexture": material.get("normalTexture")}
-        found |= {"metallicRoughnessTexture": base.get("metallicRoughnessTexture")}
-        found |= {"emissiveTexture": material.get("emissiveTexture")}
-        for name in ("transmission", "clearcoat", "sheen", "specular", "anisotropy"):
-            for key, value in self.file.extension(material, f"KHR_materials_{name}").items():
-                if key in ("transmissionTexture", "clearcoatTexture", "clearcoatRoughnessTexture"):
-                    found[key] = value
-        return {key: info for key, info in found.items() if isinstance(info, dict) and "index" in info}
 
     def _base(self, material: dict[str, Any]) -> dict[str, Any]:
         base = material.get("pbrMetallicRoughness", {})
@@ -74,39 +66,43 @@ class Materials:
             raise self.file.error("'pbrMetallicRoughness' must be an object")
         return base
 
-    def _set_of(self, info: dict[str, Any]) -> int:
-        moved = self.file.extension(info, "KHR_texture_transform")
-        found = moved.get("texCoord", info.get("texCoord", 0))
-        return found if isinstance(found, int) and 0 <= found < 100 else 0
-
     # ---- parts -----------------------------------------------------------------------------
 
-    def parts(self, number: int | None, mesh: MeshData, colors: NDArray[np.float32] | None, where: str) -> list[Part]:
-        """The parts of a mesh with a material."""
+    def parts(
+        self,
+        number: int | None,
+        mesh: MeshData,
+        coordinates: Vertices,
+        colors: NDArray[np.float32] | None,
+        where: str,
+    ) -> list[Part]:
+        """The parts of a mesh with a material.
+
+        Args:
+            number: that of the material; None for the one that stands where there is none.
+            mesh: the mesh.
+            coordinates: its sets of texture coordinates by number.
+            colors: those of its vertices, (V, 4), linear, or None.
+            where: for messages.
+        """
         material = {} if number is None else self.file.at("materials", number)
-        tint, opacity = np.ones(3), 1.0
-        if colors is not None:
-            if (colors == colors[0]).all():
-                tint, opacity = colors[0, :3].astype(np.float64), float(colors[0, 3])
-                colors = None
-            elif self.textures.pixels(self._base(material).get("baseColorTexture")) is not None:
-                self.model.say("vertex colours on a texture are replaced by their mean")
-                tint, opacity = colors[:, :3].mean(axis=0), float(colors[:, 3].mean())
-                colors = None
-        if colors is not None:
-            factor = numbers(self._base(material).get("baseColorFactor"), (1, 1, 1, 1))
-            mesh.attributes["vertex_color"] = np.clip(colors[:, :3] * factor[:3], 0, 1).astype(np.float32)
-            if colors[:, 3].min() < 1:
-                mesh.attributes["vertex_opacity"] = np.clip(colors[:, 3:] * factor[3], 0, 1).astype(np.float32)
-        alpha = "vertex_opacity" in mesh.attributes
+        paint = Paint()
+        tints: Vertices = {}
+        if colors is not None and (colors == colors[0]).all():
+            paint = Paint(tuple(colors[0, :3].tolist()), float(colors[0, 3]))
+        elif colors is not None:
+            opacity = float(colors[:, 3].mean()) if material.get("alphaMode") == "MASK" else 1.0
+            tints = {"vertex_color": np.ascontiguousarray(colors[:, :3])}
+            if colors[:, 3].min() < 1 and material.get("alphaMode") == "BLEND":
+                tints["vertex_opacity"] = np.ascontiguousarray(colors[:, 3:])
+            paint = Paint(opacity=opacity, names=tuple(tints))
         result = []
-        for half, mirrored in self._halves(material, mesh):
-            key = (number, mirrored, colors is not None, alpha, tuple(tint), opacity)
+        for half, sets, colored, mirrored in self._halves(material, mesh, coordinates, tints):
             name = "material_" + ("default" if number is None else str(number))
-            name = self._named(
-                name, key, lambda m=mirrored: self._node(material, m, colors is not None, alpha, tint, opacity)
-            )
-            part = Part(str(material.get("name") or where)[:100], half, name, [], self._emission(material, where))
+            name = self._named(name, (number, mirrored, paint), lambda m=mirrored: self._node(material, m, paint))
+            part = Part(str(material.get("name") or where)[:100], half, name, [], self._emission(material, paint))
+            part.coordinates, part.tints = sets, colored
+            part.one_sided = material.get("doubleSided") is not True
             if self.file.extension(material, "KHR_materials_volume"):
                 part.interior = self._interior(material, number)
             result.append(part)
@@ -124,68 +120,70 @@ class Materials:
         found: str = self._made[key]
         return found
 
-    def _halves(self, material: dict[str, Any], mesh: MeshData) -> list[tuple[MeshData, bool]]:
+    def _halves(
+        self, material: dict[str, Any], mesh: MeshData, coordinates: Vertices, tints: Vertices
+    ) -> list[tuple[MeshData, Vertices, Vertices, bool]]:
         """The triangles whose texture isn't mirrored, and those whose is: normal maps tell left from right."""
-        if not isinstance(material.get("normalTexture"), dict) or mesh.texcoords is None:
-            return [(mesh, False)]
-        a, b, c = (mesh.texcoords[mesh.indices[:, i]] for i in range(3))
+        normal = material.get("normalTexture")
+        uv = coordinates.get(self.textures.uv_set(normal)) if isinstance(normal, dict) else None
+        if uv is None:
+            return [(mesh, coordinates, tints, False)]
+        a, b, c = (uv[mesh.indices[:, i]] for i in range(3))
         u, v = b - a, c - a
         mirrored = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0] > 0  # v points down in images
         share = float(mirrored.mean())
         if share in (0.0, 1.0):
-            return [(mesh, share == 1)]
+            return [(mesh, coordinates, tints, share == 1)]
         halves = []
         for side in (False, True):
-            own = MeshData(mesh.positions, np.ascontiguousarray(mesh.indices[mirrored == side]), mesh.normals)
-            own.texcoords, own.attributes = mesh.texcoords, dict(mesh.attributes)
-            halves.append((compacted(own), side))
+            used, indices = np.unique(mesh.indices[mirrored == side], return_inverse=True)
+            own = MeshData(mesh.positions[used], indices.reshape(-1, 3).astype(np.uint32))
+            own.normals = None if mesh.normals is None else mesh.normals[used]
+            of_vertices = [{name: values[used] for name, values in found.items()} for found in (coordinates, tints)]
+            halves.append((own, of_vertices[0], of_vertices[1], side))
         return halves
 
     # ---- nodes -----------------------------------------------------------------------------
 
-    def _node(
-        self, material: dict[str, Any], mirrored: bool, colored: bool, alpha: bool, tint: Any, opacity: float
-    ) -> dict[str, Any]:
+    def _node(self, material: dict[str, Any], mirrored: bool, paint: Paint) -> dict[str, Any]:
         """The BSDF of a material."""
-        node, transmits = self._lobes(material, colored, tint)
+        node, transmits = self._lobes(material, paint)
         normal: Any = material.get("normalTexture")
         pixels = self.textures.pixels(normal)
         if pixels is not None:
             strength = scalar(normal.get("scale"), 1.0)
-            key = ("normal", normal["index"], strength, mirrored)
+            key = ("normal", strength, mirrored)
             texture = self.textures.node(normal, normals_of(pixels, strength, mirrored), key, raw=True)
             node = {"type": "normalmap", "normalmap": texture, "bsdf": node}
         if not transmits:
             node = {"type": "twosided", "bsdf": node}
         mode = material.get("alphaMode", "OPAQUE")
         if mode in ("MASK", "BLEND"):
-            covered = self._opacity(material, mode, alpha, opacity)
+            covered = self._opacity(material, mode, paint)
             if not isinstance(covered, float) or covered < 1:
                 node = {"type": "mask", "opacity": covered, "bsdf": node}
         return node
 
-    def _opacity(self, material: dict[str, Any], mode: str, alpha: bool, opacity: float) -> Any:
+    def _opacity(self, material: dict[str, Any], mode: str, paint: Paint) -> Any:
         """How much of the surface is there: a number or a texture."""
         base = self._base(material)
         info: Any = base.get("baseColorTexture")
         gloss = self.file.extension(material, "KHR_materials_pbrSpecularGlossiness")
-        factor = float(numbers(base.get("baseColorFactor"), (1, 1, 1, 1))[3]) * opacity
+        factor = float(numbers(base.get("baseColorFactor"), (1, 1, 1, 1))[3]) * paint.opacity
         if gloss:
             info, factor = gloss.get("diffuseTexture"), float(numbers(gloss.get("diffuseFactor"), (1, 1, 1, 1))[3])
         cutoff = scalar(material.get("alphaCutoff"), 0.5)
         pixels = self.textures.pixels(info)
-        if pixels is None:
-            if alpha and mode == "BLEND":
-                return {"type": "mesh_attribute", "name": "vertex_opacity"}
-            return float(np.clip(factor, 0, 1)) if mode == "BLEND" else float(factor >= cutoff)
         if mode == "BLEND":
-            return self.textures.channel(info, 3, factor, "opacity")
+            return paint.on(self.textures.channel(info, 3, factor), "vertex_opacity")
+        if pixels is None:
+            return float(factor >= cutoff)
         values = np.where(pixels[..., 3:] * (factor / 255) >= cutoff, 255, 0).astype(np.uint8)
         if values.min() == values.max():
             return float(values.flat[0] / 255)
-        return self.textures.node(info, values, ("mask", info["index"], cutoff, factor), raw=True)
+        return self.textures.node(info, values, ("mask", cutoff, factor), raw=True)
 
-    def _lobes(self, material: dict[str, Any], colored: bool, tint: Any) -> tuple[dict[str, Any], bool]:
+    def _lobes(self, material: dict[str, Any], paint: Paint) -> tuple[dict[str, Any], bool]:
         """The principled BSDF, and whether it lets light through."""
         base = self._base(material)
 
@@ -194,25 +192,23 @@ class Materials:
 
         if self.file.has_extension(material, "KHR_materials_unlit"):
             return {"type": "diffuse", "reflectance": 0.0}, False
-        factor = numbers(base.get("baseColorFactor"), (1, 1, 1, 1))[:3] * tint
+        factor = numbers(base.get("baseColorFactor"), (1, 1, 1, 1))[:3] * paint.color
         gloss = extension("pbrSpecularGlossiness")
         if gloss:
-            return self._glossy(gloss, tint), False
+            return self._glossy(gloss, paint), False
         rough = base.get("metallicRoughnessTexture")
         node: dict[str, Any] = {
             "type": "principled",
-            "base_color": self.textures.color(base.get("baseColorTexture"), factor),
-            "roughness": self.textures.channel(rough, 1, scalar(base.get("roughnessFactor"), 1.0), "rough"),
-            "metallic": self.textures.channel(rough, 2, scalar(base.get("metallicFactor"), 1.0), "metal"),
+            "base_color": paint.on(self.textures.color(base.get("baseColorTexture"), factor), "vertex_color"),
+            "roughness": self.textures.channel(rough, 1, scalar(base.get("roughnessFactor"), 1.0)),
+            "metallic": self.textures.channel(rough, 2, scalar(base.get("metallicFactor"), 1.0)),
         }
-        if colored:
-            node["base_color"] = {"type": "mesh_attribute", "name": "vertex_color"}
         transmission, clearcoat, sheen = extension("transmission"), extension("clearcoat"), extension("sheen")
         transmits = scalar(transmission.get("transmissionFactor"), 0.0) > 0
         node["eta"] = self._eta(extension("ior"), extension("specular"), transmits)
         strength = scalar(clearcoat.get("clearcoatFactor"), 0.0)
         if strength > 0:
-            node["clearcoat"] = self.textures.channel(clearcoat.get("clearcoatTexture"), 0, strength, "coat")
+            node["clearcoat"] = self.textures.channel(clearcoat.get("clearcoatTexture"), 0, strength)
             if scalar(clearcoat.get("clearcoatRoughnessFactor"), 0.0) ** 2 > COAT:
                 self.model.say("clear coats are smoother: their roughness is at most 0.32")
             if clearcoat.get("clearcoatNormalTexture"):
@@ -242,14 +238,12 @@ class Materials:
         gloss = np.clip((COAT - rough**2) / (COAT - 0.001), 0, 1)
         if gloss.min() == gloss.max():
             return float(gloss.flat[0])
-        return self.textures.node(
-            info, np.rint(255 * gloss).astype(np.uint8), ("gloss", info["index"], factor), raw=True
-        )
+        return self.textures.node(info, np.rint(255 * gloss).astype(np.uint8), ("coat", factor), raw=True)
 
     def _transparent(self, node: dict[str, Any], material: dict[str, Any], transmission: Any) -> dict[str, Any]:
         """The same surface, letting light through: a body that has a volume, or a thin sheet."""
         factor = scalar(transmission.get("transmissionFactor"), 0.0)
-        node["spec_trans"] = self.textures.channel(transmission.get("transmissionTexture"), 0, factor, "transmission")
+        node["spec_trans"] = self.textures.channel(transmission.get("transmissionTexture"), 0, factor)
         thick = scalar(self.file.extension(material, "KHR_materials_volume").get("thicknessFactor"), 0.0) > 0
         if thick or node["metallic"] != 0.0:
             return node
@@ -286,9 +280,9 @@ class Materials:
         root = math.sqrt(reflectance)
         return max((1 + root) / (1 - root), SMALLEST_ETA)
 
-    def _glossy(self, gloss: dict[str, Any], tint: Any) -> dict[str, Any]:
+    def _glossy(self, gloss: dict[str, Any], paint: Paint) -> dict[str, Any]:
         """The material of KHR_materials_pbrSpecularGlossiness, as a metallic-roughness one texel by texel."""
-        factor = numbers(gloss.get("diffuseFactor"), (1, 1, 1, 1))[:3] * tint
+        factor = numbers(gloss.get("diffuseFactor"), (1, 1, 1, 1))[:3] * paint.color
         specular = np.clip(numbers(gloss.get("specularFactor"), (1, 1, 1)), 0, 1)
         glossiness = float(np.clip(scalar(gloss.get("glossinessFactor"), 1.0), 0, 1))
         infos: list[Any] = [gloss.get("diffuseTexture"), gloss.get("specularGlossinessTexture")]
@@ -296,34 +290,41 @@ class Materials:
         if second is None:  # then only the diffuse colour varies
             base, metallic = metallic_of(factor[None], specular[None])
             color = self.textures.color(infos[0], base[0] if first is None or metallic[0, 0] > 0.5 else factor)
-            node = {"type": "principled", "base_color": color, "metallic": float(metallic[0, 0])}
+            node = {
+                "type": "principled",
+                "base_color": paint.on(color, "vertex_color"),
+                "metallic": float(metallic[0, 0]),
+            }
             return node | {"roughness": 1 - glossiness}
         if first is None:
             first = np.full((1, 1, 4), 255, np.uint8)
         height, width = (max(first.shape[axis], second.shape[axis]) for axis in (0, 1))
         first, second = stretched(first, height, width), stretched(second, height, width)
-        base, metallic = metallic_of(decoded(first[..., :3] / 255) * factor, decoded(second[..., :3] / 255) * specular)
+        base, metallic = metallic_of(LINEAR[first[..., :3]] * factor, LINEAR[second[..., :3]] * specular)
         rough = 1 - glossiness * second[..., 3:] / 255
         info = infos[0] if isinstance(infos[0], dict) else infos[1]
         key = ("gloss", *(i.get("index") if isinstance(i, dict) else None for i in infos), *factor, *specular)
-        images = {"base_color": encoded(base), "metallic": metallic, "roughness": rough}
         node = {"type": "principled"}
-        for name, values in images.items():
+        colors = self.textures.node(info, encoded_bytes(base), (*key, "base_color"), raw=False)
+        node["base_color"] = paint.on(colors, "vertex_color")
+        for name, values in (("metallic", metallic), ("roughness", rough)):
             texels = np.rint(255 * np.clip(values, 0, 1)).astype(np.uint8)
-            node[name] = self.textures.node(info, texels, (*key, glossiness, name), raw=name != "base_color")
+            node[name] = self.textures.node(info, texels, (*key, glossiness, name), raw=True)
         return node
 
     # ---- light and matter ------------------------------------------------------------------
 
-    def _emission(self, material: dict[str, Any], where: str) -> dict[str, Any] | None:
+    def _emission(self, material: dict[str, Any], paint: Paint) -> dict[str, Any] | None:
         """The radiance of a material that shines; None for others."""
         if self.file.has_extension(material, "KHR_materials_unlit"):
             self.model.say("unlit materials shine by themselves, with their colour")
             base = self._base(material)
-            found = self.textures.color(
-                base.get("baseColorTexture"), numbers(base.get("baseColorFactor"), (1, 1, 1, 1))[:3]
-            )
-            return dict(found)
+            factor = numbers(base.get("baseColorFactor"), (1, 1, 1, 1))[:3] * paint.color
+            found = self.textures.color(base.get("baseColorTexture"), factor)
+            if paint.names and found["type"] == "rgb":  # a light takes a texture as its factor, no attribute
+                texel = encoded_bytes(np.array(found["value"]).reshape(1, 1, 3))
+                found = self.textures.bitmaps.node(("unlit", *factor), texel, Lookup("0"), raw=False)
+            return paint.on(found, "vertex_color")
         factor = np.clip(numbers(material.get("emissiveFactor"), (0, 0, 0)), 0, 1e6)
         strength = self.file.extension(material, "KHR_materials_emissive_strength")
         factor = factor * min(max(scalar(strength.get("emissiveStrength"), 1.0), 0.0), 1e9)
@@ -335,11 +336,7 @@ class Materials:
             return {"type": "rgb", "value": factor.tolist()}
         if not pixels[..., :3].any():
             return None
-        key = ("emission", info["index"], tuple(factor))
-        if key not in self._made:
-            table = (decoded(np.arange(256)[:, None] / 255) * factor).astype(np.float32)
-            self._made[key] = np.stack([table[pixels[..., i], i] for i in range(3)], axis=-1)
-        return self.textures.node(info, self._made[key], key, raw=True)
+        return self.textures.bitmaps.light(info["index"], pixels, factor, self.textures.lookup(info))
 
     def _interior(self, material: dict[str, Any], number: int | None) -> str | None:
         """The name of the medium in a body that absorbs; None without one."""
@@ -374,7 +371,7 @@ DIELECTRIC = 0.04
 """The reflectance of a dielectric of glTF at normal incidence."""
 
 
-def metallic_of(diffuse: Pixels, specular: Pixels) -> tuple[Pixels, Pixels]:
+def metallic_of(diffuse: Matrix, specular: Matrix) -> tuple[Matrix, Matrix]:
     """The base colour (.., 3) and the metalness (.., 1) of diffuse and specular colours, linear, (.., 3).
 
     With the metalness m, the base colour b and the reflectance r = 0.04 of dielectrics, diffuse = (1 - m) (1 - r) b /
@@ -394,7 +391,7 @@ def metallic_of(diffuse: Pixels, specular: Pixels) -> tuple[Pixels, Pixels]:
 
 
 def stretched(pixels: NDArray[np.uint8], height: int, width: int) -> NDArray[np.uint8]:
-    """Pixels as an image of another size, each texel kept."""
+    """Matrix as an image of another size, each texel kept."""
     rows, columns = np.arange(height) * pixels.shape[0] // height, np.arange(width) * pixels.shape[1] // width
     return pixels[rows[:, None], columns]
 
@@ -408,14 +405,4 @@ def normals_of(pixels: NDArray[np.uint8], strength: float, mirrored: bool) -> ND
     if mirrored:
         result = result.copy()
         result[..., 1] = 255 - result[..., 1]
-    return result
-
-
-def compacted(mesh: MeshData) -> MeshData:
-    """The same triangles without the vertices that none of them uses."""
-    used, indices = np.unique(mesh.indices, return_inverse=True)
-    result = MeshData(mesh.positions[used], indices.reshape(-1, 3).astype(np.uint32))
-    result.normals = None if mesh.normals is None else mesh.normals[used]
-    result.texcoords = None if mesh.texcoords is None else mesh.texcoords[used]
-    result.attributes = {name: values[used] for name, values in mesh.attributes.items()}
     return result

@@ -35,6 +35,12 @@ class Part:
     """The texture of the light that it emits, or None."""
     interior: str | None = None
     """The medium inside, a key of `Model.nodes`, or None."""
+    coordinates: dict[str, NDArray[np.float32]] = field(default_factory=dict)
+    """Sets of texture coordinates of the vertices, (V, 2) each. Textures name theirs by the entry ``uv_set``."""
+    tints: dict[str, NDArray[np.float32]] = field(default_factory=dict)
+    """Colours of the vertices, (V, 1) or (V, 3), by which textures are multiplied that name them by ``tint``."""
+    one_sided: bool = False
+    """Whether the file asks to leave out what is seen from behind."""
 
 
 @dataclass

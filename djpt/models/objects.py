@@ -11,7 +11,7 @@ import numpy as np
 from djpt.core.numeric import describe
 from djpt.description.files import Document
 from djpt.errors import SceneError
-from djpt.models.formats import is_model, read_model
+from djpt.models.formats import STAGE, is_model, read_model
 
 __all__ = ["description_of", "scene_of"]
 
@@ -23,7 +23,7 @@ def scene_of(x: Any, **parameters: Any) -> Any:
         x: a `djpt.Scene`, returned as it is; a description of a scene or of a shape; the path of an XML file or a
             model; a mesh or a scene of trimesh; a mesh of Open3D (legacy or tensor) or pyvista; a `djpt.Mesh`; a pair
             of vertices (V, 3) and triangles (F, 3); or an object with `vertices` and `faces`.
-        parameters: of models and meshes: `up`, `camera` and `stage`, see `djpt.models.formats.read_model`.
+        parameters: of models and meshes: `up`, `camera`, `stage` and `cull`, see `djpt.models.formats.read_model`.
 
     Raises:
         SceneError: it is something else, or can't be rendered.
@@ -49,9 +49,9 @@ def description_of(x: Any, **parameters: Any) -> dict[str, Any]:
         return x if isinstance(x, Document) else dict(x)
     from djpt.models.stage import staged
 
-    unknown = [name for name in parameters if name not in ("up", "camera", "stage")]
+    unknown = [name for name in parameters if name not in STAGE]
     if unknown:
-        raise SceneError(f"scene_of: unknown parameter '{unknown[0]}' (possible: up, camera, stage)")
+        raise SceneError(f"scene_of: unknown parameter '{unknown[0]}' (possible: {', '.join(STAGE)})")
     return staged(model_of(x), **parameters)
 
 

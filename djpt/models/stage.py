@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from djpt.core.transforms import ScalarTransform4f
 from djpt.errors import SceneError
+from djpt.models.atlas import resolve_coordinates
 from djpt.models.model import Camera, Matrix, Model, Part
 
 __all__ = ["staged"]
@@ -29,7 +31,9 @@ MOST_COPIED = 200_000
 """Parts that stand in several places are copied up to so many triangles in all, else instanced."""
 
 
-def staged(model: Model, *, up: str | None = None, camera: int | None = 0, stage: bool | None = None) -> dict[str, Any]:
+def staged(
+    model: Model, *, up: str | None = None, camera: int | None = 0, stage: bool | None = None, cull: bool = False
+) -> dict[str, Any]:
     """A scene that shows a model.
 
     Args:
@@ -38,6 +42,8 @@ def staged(model: Model, *, up: str | None = None, camera: int | None = 0, stage
         camera: the number of the file's camera that is used if it has any; None for one that frames the model.
         stage: whether there is a sky and a ground; default: where the file has no lights, or only distant ones, by
             which metal would be black.
+        cull: whether triangles of one-sided materials that face away from the camera are left out, as programs for
+            games do: then a room is seen into through its walls, and light falls in.
 
     Raises:
         SceneError: there is nothing to see; no such camera or axis.
@@ -45,6 +51,7 @@ def staged(model: Model, *, up: str | None = None, camera: int | None = 0, stage
     axis = model.up if up is None else up
     if axis not in AXES:
         raise SceneError(f"{model.name}: 'up' must be one of {', '.join(AXES)}, found {axis!r}")
+    resolve_coordinates(model)
     turn = upright(np.array(AXES[axis], np.float64))
     low, high = model.bounds()
     center, radius = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low)) or 1.0
@@ -64,7 +71,8 @@ def staged(model: Model, *, up: str | None = None, camera: int | None = 0, stage
     else:
         scene["sensor"] = framing(low, high, turn)
     scene |= model.nodes
-    for number, part in enumerate(model.parts):
+    parts = facing(model.parts, scene["sensor"]) if cull else model.parts
+    for number, part in enumerate(parts):
         add_part(scene, part, number)
     scene |= exposed(model, center, radius)
     near = any(light["type"] != "directional" for light in model.lights.values())
@@ -133,6 +141,30 @@ def upright(up: Matrix) -> Matrix:
     if up[2]:  # as in CAD: the front looks along -y
         return np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]]) * np.array([[1.0], [up[2]], [up[2]]])
     return np.array([[0, up[0], 0], [-up[0], 0, 0], [0, 0, 1.0]])
+
+
+def facing(parts: list[Part], sensor: dict[str, Any]) -> list[Part]:
+    """The parts without the triangles of one-sided materials that face away from a camera."""
+    camera = np.asarray(sensor["to_world"].matrix)
+    kept = []
+    for part in parts:
+        if not part.one_sided:
+            kept.append(part)
+            continue
+        for place in part.places:
+            corners = (part.mesh.positions.astype(np.float64) @ place[:3, :3].T + place[:3, 3])[part.mesh.indices]
+            normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+            away = -camera[:3, 2] if sensor["type"] == "orthographic" else camera[:3, 3] - corners[:, 0]
+            # A mirrored mesh has its corners the other way round.
+            front = (normal * away).sum(axis=1) * np.linalg.det(place[:3, :3]) > 0
+            if front.any():
+                mesh = replace(part.mesh, indices=np.ascontiguousarray(part.mesh.indices[front]))
+                mesh.attributes = {
+                    name: values[front] if name.startswith("face_") else values
+                    for name, values in part.mesh.attributes.items()
+                }
+                kept.append(replace(part, mesh=mesh, places=[place]))
+    return kept
 
 
 def add_part(scene: dict[str, Any], part: Part, number: int) -> None:

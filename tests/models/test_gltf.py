@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.models.atlas import resolve_coordinates
 from djpt.models.folder import Folder
 from djpt.models.formats import read_model
 from djpt.models.gltf import read_gltf
@@ -20,7 +21,9 @@ CHECKS = np.uint8([[[255, 0, 0], [0, 255, 0]], [[0, 0, 255], [255, 255, 255]]])
 
 
 def read(file, tmp_path, **parameters):
-    return read_gltf(file.glb(), Folder(tmp_path), "quad.glb", **parameters)
+    model = read_gltf(file.glb(), Folder(tmp_path), "quad.glb", **parameters)
+    resolve_coordinates(model)
+    return model
 
 
 def bsdf(model):
