@@ -29,6 +29,9 @@ class Case:
     finite: bool = False
     """Whether all its numbers are ordinary, so that its image must be finite."""
 
+    alone: bool = False
+    """Whether it may open no file of data outside of its folder."""
+
     def __repr__(self) -> str:
         return self.code
 

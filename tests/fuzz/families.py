@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from tests.fuzz.cases import Case
 from tests.fuzz.declarations import KINDS
+from tests.fuzz.models import model_files
 from tests.fuzz.mutations import damaged
 from tests.fuzz.nodes import plugin, scene
 from tests.fuzz.seeds import READERS, seed_files
@@ -74,6 +75,19 @@ def files(draw: st.DrawFn) -> Case:
     reader = draw(st.sampled_from(READERS[name]))
     contents = {**used_files(reader), name: draw(damaged(seed_files()[name]))}
     return Case(reader, contents, (name, "scene", "'filename'", "ellipsoids."))
+
+
+@st.composite
+def models(draw: st.DrawFn) -> Case:
+    """A model of which one file is damaged."""
+    names = sorted(model_files())
+    quick = [name for name in names if ".usd" not in name]  # USD is read in processes of its own
+    name = draw(st.sampled_from(names if draw(st.integers(0, 9)) == 0 else quick))
+    contents = dict(model_files()[name])
+    hurt = draw(st.sampled_from(sorted(contents)))
+    contents[hurt] = draw(damaged(contents[hurt]))
+    parameters = draw(st.sampled_from(["", ", trusted=False", ", up='z', cull=True"]))
+    return Case(f"djpt.load_file({name!r}{parameters})", contents, (name,), alone=True)
 
 
 @st.composite
@@ -215,10 +229,11 @@ FAMILIES: dict[str, st.SearchStrategy[Case]] = {
     "scenes": scenes(),
     "xml": xml(),
     "files": files(),
+    "models": models(),
     "tangles": tangles(),
     "calls": calls(),
     "images": images(),
 }
 
-WEIGHTS = {"plugins": 30, "scenes": 15, "xml": 15, "files": 25, "tangles": 2, "calls": 8, "images": 5}
+WEIGHTS = {"plugins": 30, "scenes": 15, "xml": 15, "files": 20, "models": 5, "tangles": 2, "calls": 8, "images": 5}
 """How many of a hundred cases are of each family."""

@@ -12,7 +12,7 @@ import numpy as np
 
 import djpt
 from djpt.description.tensor_files import write_tensors
-from tests.kit.gltf import Quad, quad
+from tests.fuzz.models import gltf_model
 from tests.kit.meshes import bumpy_sheet, properties, write_binary_ply, write_obj, write_ply, write_serialized
 from tests.kit.photographs import bundle, calibration, colmap_binary, colmap_text, transforms
 
@@ -132,39 +132,13 @@ def make(folder: Path) -> None:
         (folder / name).write_bytes(content)
     (folder / "transforms.json").write_text(json.dumps(transforms(k1=-0.1)))
     (folder / "camera.yml").write_text(calibration())
-    file = model()
+    file = gltf_model()
     (folder / "m.glb").write_bytes(file.glb())
     (folder / "m.gltf").write_bytes(file.gltf())
     rng = np.random.default_rng(0)
     for name in READERS:
         if name.split(".")[1] in ("exr", "hdr", "pfm", "npy", "png", "jpg", "bmp", "tga", "ppm", "tif"):
             djpt.write(folder / name, rng.random((6, 8, 3), dtype=np.float32))
-
-
-def model() -> Quad:
-    """A model with a texture, a skin, a morph target, an animation, a light and a camera."""
-    file = quad()
-    attributes = file.primitive["attributes"]
-    base = {"baseColorTexture": file.texture(np.arange(48).reshape(4, 4, 3))}
-    file.material |= {"pbrMetallicRoughness": base, "alphaMode": "BLEND", "extensions": {}}
-    file.material["extensions"]["KHR_materials_clearcoat"] = {"clearcoatFactor": 0.5}
-    attributes["JOINTS_0"] = file.accessor(np.uint8([[0, 1, 0, 0]] * 4), "VEC4")
-    attributes["WEIGHTS_0"] = file.accessor(np.float32([[0.5, 0.5, 0, 0]] * 4), "VEC4")
-    file.primitive["targets"] = [{"POSITION": file.accessor(np.float32([[0, 0, 1]] * 4), "VEC3")}]
-    file.node |= {"skin": 0, "weights": [0.5]}
-    file.json["nodes"] += [
-        {"translation": [4, 0, 0]},
-        {"camera": 0, "extensions": {"KHR_lights_punctual": {"light": 0}}},
-    ]
-    file.json["scenes"][0]["nodes"] += [1, 2]
-    file.json["skins"] = [{"joints": [1, 2]}]
-    file.json["cameras"] = [{"type": "perspective", "perspective": {"yfov": 0.8, "znear": 0.1}}]
-    file.json["extensions"] = {"KHR_lights_punctual": {"lights": [{"type": "spot", "intensity": 5}]}}
-    times, moves = np.float32([0, 1]), np.float32([[0, 0, 0], [1, 0, 0]])
-    sampler = {"input": file.accessor(times, "SCALAR"), "output": file.accessor(moves, "VEC3")}
-    channel = {"sampler": 0, "target": {"node": 1, "path": "translation"}}
-    file.json["animations"] = [{"channels": [channel], "samplers": [sampler]}]
-    return file
 
 
 def cloud(path: Path) -> None:

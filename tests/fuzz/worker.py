@@ -36,7 +36,8 @@ class Verdict:
 
     outcome: str
     """``fine``, ``refused`` or, as findings, ``foreign`` (an error that isn't a `DjptError`), ``nameless`` (one that
-    doesn't name its cause), ``not finite`` (an image of NaN), ``memory``, ``died`` or ``hung``."""
+    doesn't name its cause), ``not finite`` (an image of NaN), ``outside`` (it opens a file outside of its folder),
+    ``memory``, ``died`` or ``hung``."""
     error: str = ""
     """The type of the error."""
     place: str = ""
@@ -70,6 +71,7 @@ def main(memory: int, seconds: float) -> None:
     import drjit as dr
 
     dr.set_thread_count(1)
+    sys.addaudithook(watch)
     home = os.getcwd()
     with contextlib.suppress(EOFError, BrokenPipeError):
         while True:
@@ -101,6 +103,32 @@ def small_files() -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
+OWN = tuple({os.path.realpath(path) for path in (sys.prefix, sys.base_prefix, *sys.path, "/usr", "/proc") if path})
+"""Where programs and their libraries lie, which Python and djpt open themselves."""
+WATCHES: list[list[str]] = []
+"""The files that were opened elsewhere, for each `opened_outside` that is entered."""
+
+
+@contextlib.contextmanager
+def opened_outside() -> Iterator[list[str]]:
+    """The files that Python opens outside of the working directory within a ``with`` block."""
+    WATCHES.append([])
+    try:
+        yield WATCHES[-1]
+    finally:
+        WATCHES.pop()
+
+
+def watch(event: str, arguments: tuple[Any, ...]) -> None:
+    """Note an opened file; for `sys.addaudithook`."""
+    if event != "open" or not WATCHES or not isinstance(arguments[0], (str, bytes, os.PathLike)):
+        return
+    path = os.path.realpath(os.fsdecode(arguments[0]))
+    kernels = (os.path.join(os.path.expanduser("~"), ".drjit"), os.path.join(tempfile.gettempdir(), "djpt"))
+    if not path.startswith((os.path.realpath("."), *kernels, *OWN)) and path not in ("/dev/null", "/dev/urandom"):
+        WATCHES[-1].append(path)
+
+
 def answer(answers: BinaryIO, verdict: Verdict) -> None:
     """Send a verdict."""
     pickle.dump((verdict.outcome, verdict.error, verdict.place, verdict.text), answers)
@@ -115,7 +143,7 @@ def tried(case: Case) -> Verdict:
         Path(name).write_bytes(content)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10
     try:
-        with small_files():
+        with small_files(), opened_outside() as outside:
             found = run(case)
     except djpt.DjptError as error:
         text = str(error)
@@ -123,6 +151,8 @@ def tried(case: Case) -> Verdict:
         found = Verdict("refused" if named and text else "nameless", type(error).__name__, place_of(error), text)
     except Exception as error:
         found = Verdict("foreign", type(error).__name__, place_of(error), "".join(traceback.format_exception(error)))
+    if case.alone and outside:
+        return Verdict("outside", found.outcome, found.place, ", ".join(outside))
     grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10) - before
     return Verdict("memory", found.outcome, found.place, f"{grown >> 20} MiB") if grown > MOST_GROWTH else found
 
