@@ -29,6 +29,10 @@ SMALLEST_CELL = 8
 """The fewest texels of a cell along its sides; two triangles share it."""
 BORDER = 4
 """Texels of a cell that only lookups between texels reach."""
+INWARD = 1e-4
+"""How far points are moved to the middle of their triangle: on its border a texture may begin anew."""
+SHARP = 4
+"""Texels of the atlas for one that is a square."""
 MOST_LOOKUPS = 2**25
 """The most lookups for an atlas: a texel takes the mean of several where cells are too small for the texture."""
 CHUNK = 2**20
@@ -216,7 +220,8 @@ class Atlas:
         matrix = np.asarray(bitmap["to_uv"].matrix)[:2, :2] if "to_uv" in bitmap else np.eye(2)
         height, width = bitmap["bitmap" if "bitmap" in bitmap else "data"].shape[:2]
         sides = (uv - np.roll(uv, 1, axis=1)) @ matrix.T * (width, height)
-        return float(np.sqrt((sides**2).sum(axis=-1)).max(initial=1.0))
+        longest = float(np.sqrt((sides**2).sum(axis=-1)).max(initial=1.0))
+        return longest * (SHARP if bitmap.get("filter_type") == "nearest" else 1)
 
     def _mesh(self) -> MeshData:
         """The mesh, whose triangles share no vertices, with its place in the atlas."""
@@ -249,6 +254,7 @@ class Atlas:
             face = 2 * (x // self.size + y // self.size * self.cells) + second
             local = np.stack([column + shift[0], row + shift[1]], axis=-1)
             local = np.where(second[..., None], self.size - 1 - local, local) / (self.size - BORDER)
+            local = local * (1 - INWARD) + INWARD / 3
             yield Rows(np.minimum(face, len(self.source.indices) - 1).ravel(), local.reshape(-1, 2))
 
     def _resampled(self, bitmap: dict[str, Any], is_normal: bool) -> dict[str, Any]:

@@ -331,3 +331,79 @@ def test_distant_lights_alone_leave_the_sky(tmp_path, kind, staged):
     file.node["extensions"] = {"KHR_lights_punctual": {"light": 0}}
     (tmp_path / "quad.glb").write_bytes(file.glb())
     assert ("sky" in read_model(tmp_path / "quad.glb")) == staged
+
+
+def aov(description, what, size=8):
+    """An image of the quad's diffuse colour (``albedo``) or its normals (``sh_normal``), seen from above."""
+    camera = {"type": "orthographic", "to_world": djpt.ScalarTransform4f().look_at([0, 0, 3], [0, 0, 0], [0, 1, 0])}
+    film = {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}}
+    shape = description["part_0"]
+    surface = description[shape["bsdf"]["id"]]["bsdf"]  # within `twosided`
+    if what == "albedo":
+        surface = {"type": "diffuse", "reflectance": surface["base_color"]}
+    integrator = {"type": "aov", "aovs": f"x:{what}"}
+    scene = {"type": "scene", "shape": {**shape, "bsdf": surface}, "sensor": {**camera, "film": film}}
+    return np.array(djpt.render(djpt.load_dict({**scene, "integrator": integrator}), spp=64, seed=1))[..., -3:]
+
+
+def test_two_sets_of_texture_coordinates_become_one_atlas(tmp_path):
+    file = quad()
+    image = np.random.default_rng(0).integers(60, 200, (4, 4, 3))
+    file.material["pbrMetallicRoughness"] = {"baseColorTexture": file.texture(image), "roughnessFactor": 1}
+    (tmp_path / "quad.glb").write_bytes(file.glb())
+    plain = aov(read_model(tmp_path / "quad.glb"), "albedo")
+    file.primitive["attributes"]["TEXCOORD_1"] = file.accessor(np.float32([[0, 2], [2, 2], [2, 0], [0, 0]]), "VEC2")
+    rough = file.texture(np.random.default_rng(1).integers(0, 255, (4, 4, 3))) | {"texCoord": 1}
+    file.material["pbrMetallicRoughness"]["metallicRoughnessTexture"] = rough
+    file.material["pbrMetallicRoughness"]["metallicFactor"] = 0
+    (tmp_path / "quad.glb").write_bytes(file.glb())
+    description = read_model(tmp_path / "quad.glb")
+    mesh = description["part_0"]["data"]
+    assert len(mesh.positions) == 6 and mesh.texcoords.min() >= 0 and mesh.texcoords.max() <= 1
+    # The atlas has texels of its own, between which it interpolates, over twice the texture's: colours are near.
+    assert np.abs(aov(description, "albedo") - plain).max() < 0.03
+
+
+def test_colours_of_vertices_multiply_textures(tmp_path):
+    file = quad()
+    texture = np.full((2, 2, 3), 255)
+    texture[0, :, 1:] = 0
+    base = {"baseColorTexture": file.texture(texture, magFilter=9728), "metallicFactor": 0}
+    file.material["pbrMetallicRoughness"] = base
+    colors = np.float32([[1, 1, 1], [0, 0, 0], [0, 0, 0], [1, 1, 1]])  # black at the right
+    file.primitive["attributes"]["COLOR_0"] = file.accessor(colors, "VEC3")
+    (tmp_path / "quad.glb").write_bytes(file.glb())
+    found = aov(read_model(tmp_path / "quad.glb"), "albedo", 4)
+    ramp = 1 - (np.arange(4) + 0.5) / 4
+    assert np.allclose(found[0, :, 0], ramp, atol=0.02) and np.allclose(found[0, :, 1:], 0, atol=0.02)
+    assert np.allclose(found[3], ramp[:, None], atol=0.02)
+
+
+@pytest.mark.parametrize("order", [[0, 1, 2, 3], [1, 2, 3, 0], [3, 2, 1, 0]])
+def test_an_atlas_keeps_the_normals_of_normal_maps(tmp_path, order):
+    file = quad()
+    file.material["normalTexture"] = file.texture(np.uint8([[[180, 150, 230]]]))
+    corners = np.float32([[0, 1], [1, 1], [1, 0], [0, 0]])[order]
+    file.primitive["attributes"]["TEXCOORD_0"] = file.accessor(corners, "VEC2")
+    (tmp_path / "quad.glb").write_bytes(file.glb())
+    plain = aov(read_model(tmp_path / "quad.glb"), "sh_normal")
+    file.primitive["attributes"]["TEXCOORD_1"] = file.accessor(corners[::-1].copy(), "VEC2")
+    file.material["emissiveTexture"] = file.texture(np.uint8([[[9, 9, 9]]])) | {"texCoord": 1}
+    file.material["emissiveFactor"] = [1, 1, 1]
+    (tmp_path / "quad.glb").write_bytes(file.glb())
+    description = read_model(tmp_path / "quad.glb")
+    assert len(description["part_0"]["data"].positions) == 6
+    assert np.abs(plain[4, 4] - [0, 0, 1]).max() > 0.3
+    assert np.allclose(aov(description, "sh_normal"), plain, atol=0.02)
+
+
+def test_what_faces_away_is_left_out_on_request(tmp_path):
+    file = quad()
+    file.json["nodes"].append({"mesh": 0, "translation": [0, 0, -1], "scale": [1, 1, -1]})
+    file.json["scenes"][0]["nodes"].append(1)
+    (tmp_path / "quad.glb").write_bytes(file.glb())
+    parts = [key for key in read_model(tmp_path / "quad.glb", cull=True) if key.startswith("part")]
+    assert len(parts) == 1  # the mirrored one shows its back
+    file.material["doubleSided"] = True
+    (tmp_path / "quad.glb").write_bytes(file.glb())
+    assert len([key for key in read_model(tmp_path / "quad.glb", cull=True) if key.startswith("part")]) == 2
