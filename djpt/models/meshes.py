@@ -11,8 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.core.files import shortened
 from djpt.errors import FileError, SceneError
 from djpt.models.folder import Folder
+from djpt.models.images import check_file, decoding
 from djpt.models.model import Model, Part
 from djpt.shapes.meshes.data import MeshData, unit
 
@@ -43,7 +45,10 @@ class Resolver:
     def get(self, name: Any) -> bytes:
         """The contents of a file; a missing one is what trimesh expects to happen."""
         try:
-            return self.folder.read(name if isinstance(name, str) else bytes(name).decode("utf-8", "replace"))
+            name = name if isinstance(name, str) else bytes(name).decode("utf-8", "replace")
+            data = self.folder.read(name)
+            check_file(data, shortened(name))
+            return data
         except FileError as error:
             self.missing.append(str(error))
             raise KeyError(str(error)) from None
@@ -191,7 +196,8 @@ def of_material(model: Model, material: Any, has_uv: bool) -> dict[str, Any]:
             if key.lower() != "map_kd":
                 model.say(f"the texture '{key}' of MTL is left out")
     if image is not None and has_uv and not is_default(material):
-        pixels = np.array(image.convert("RGB"))
+        with decoding(f"{model.name}: a texture"):
+            pixels = np.array(image.convert("RGB"))
         node["base_color"] = {"type": "bitmap", "bitmap": pixels}
     else:
         node["base_color"] = {"type": "rgb", "value": np.clip(base, 0, 1).tolist()}
@@ -204,7 +210,10 @@ def of_material(model: Model, material: Any, has_uv: bool) -> dict[str, Any]:
 def is_default(material: Any) -> bool:
     """True for the material that trimesh makes for texture coordinates without one: four pixels of its grey."""
     image = getattr(material, "image", None)
-    return image is not None and image.size == (2, 2) and bool((np.asarray(image.convert("RGB")) == 100).all())
+    if image is None or image.size != (2, 2):
+        return False
+    with decoding("a texture"):
+        return bool((np.asarray(image.convert("RGB")) == 100).all())
 
 
 def number_of(given: Mapping[str, Any], key: str) -> float | None:

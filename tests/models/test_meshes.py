@@ -7,6 +7,7 @@ import warnings
 import numpy as np
 import pytest
 
+import djpt
 from djpt.models.formats import read_model
 from tests.kit.gltf import png
 
@@ -75,3 +76,15 @@ def test_texture_coordinates_without_a_material_are_grey(tmp_path):
 def test_emission(tmp_path):
     assert read(tmp_path, "Ke 0 2 1")["part_0"]["emitter"]["radiance"]["value"] == [0, 2, 1]
     assert "emitter" not in read(tmp_path, "Ke 0 0 0")["part_0"]
+
+
+@pytest.mark.parametrize("damage", ["cut", "huge"])
+def test_textures_that_cant_be_decoded_are_named(tmp_path, damage):
+    data = png(np.random.default_rng(0).integers(0, 255, (16, 16, 3)))
+    # The width of a PNG file stands behind its signature and the head of its first chunk.
+    data = data[:200] if damage == "cut" else data[:16] + b"\0\0\x2e\xe0" * 2 + data[24:]
+    (tmp_path / "t.png").write_bytes(data)
+    (tmp_path / "m.mtl").write_text("newmtl a\nmap_Kd t.png\n")
+    (tmp_path / "m.obj").write_text("mtllib m.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nusemtl a\nf 1/1 2/1 3/1\n")
+    with pytest.raises(djpt.SceneError, match=r"m\.obj: .*(texture can't be read|t\.png has .* pixels)"):
+        djpt.load_file(tmp_path / "m.obj")
