@@ -49,7 +49,7 @@ class Resolver:
             data = self.folder.read(name)
             check_file(data, shortened(name))
             return data
-        except FileError as error:
+        except (FileError, SceneError) as error:
             self.missing.append(str(error))
             raise KeyError(str(error)) from None
 
