@@ -39,7 +39,7 @@ class Projector(DeltaEmitter, OrientedEmitter):
     aspect is width / height of the bitmap, 1 for other textures.
 
     Parameters: `irradiance` (texture, default 1, not negative), `scale` (default 1, not negative), `fov`, `fov_axis`
-    or `focal_length` (as for the `perspective` sensor), `to_world`.
+    or `focal_length` (as for the `perspective` sensor), `to_world`. Derivatives by motion follow the sides of the beam.
     """
 
     values: ClassVar[Mapping[str, ParamFlags]] = {
@@ -49,7 +49,6 @@ class Projector(DeltaEmitter, OrientedEmitter):
         **dict.fromkeys(("reach_x", "reach_y"), ParamFlags.NonDifferentiable),
     }
     allowed: ClassVar[Mapping[str, Allowed]] = {"scale": Allowed(0.0)}
-    motion_flags = ParamFlags.NonDifferentiable
     m_flags = int(EmitterFlags.DeltaPosition)
     children = ("irradiance",)
 

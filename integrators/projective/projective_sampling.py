@@ -10,6 +10,7 @@ from djpt.core.records import DirectionSample3f, Interaction3f, Ray3f, SurfaceIn
 from djpt.description.properties import Properties
 from djpt.films.base import FilmFlags
 from djpt.integrators.ad_integrator import RBIntegrator, attached, modes, propagate
+from djpt.integrators.projective.beams import BeamSides, has_sides
 from djpt.integrators.projective.cuts import cuts_on_film
 from djpt.integrators.projective.detail import ProjectiveDetail
 from djpt.integrators.projective.reattach import delta_lights
@@ -268,15 +269,17 @@ class PSIntegrator(RBIntegrator):
         return total
 
     def _shadow_edges(self, scene: Scene, sensor: Sensor, seed: Any, spp: int) -> TensorXf:
-        """The image of the edges of shadows in the light of points, and in parallel light."""
+        """The image of the edges of shadows in the light of points, and in parallel light; and of those of beams."""
         total = dr.zeros(TensorXf, self._shape(sensor))
         lights = delta_lights(scene)
         if not scene.silhouette_shapes() and not sensor.attached_names():
             lights = [light for light in lights if light.is_moving()]
         for number, light in enumerate(lights):
             sampler, _ = self.prepare(sensor, (SHADOW_SEED + number) ^ seed, -(-spp // len(lights)), self.aov_names())
-            value, place = ShadowEdges(scene, light).estimate(self, sensor, sampler)
-            total += self._splatted(sensor, sampler, place, value, Bool(True))
+            parts: list[ShadowEdges | BeamSides] = [ShadowEdges(scene, light)]
+            for part in [*parts, BeamSides(scene, light)] if has_sides(light) else parts:
+                value, place = part.estimate(self, sensor, sampler)
+                total += self._splatted(sensor, sampler, place, value, Bool(True))
         return total
 
     def _surfaces_meet(self, scene: Scene, sensor: Sensor) -> bool:

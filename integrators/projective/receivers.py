@@ -7,7 +7,7 @@ from typing import Any
 import drjit as dr
 
 from djpt.core.records import EmitterFlags, Ray3f, has_flag
-from djpt.jit.types import Bool, Float, Point2f, UInt32, Vector3f
+from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.scene.intersecting_shapes import between
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
@@ -52,6 +52,11 @@ class Receiver:
             o, d, seen = dr.select(by_sensor, o, viewer.o), dr.select(by_sensor, d, viewer.d), Bool(active)
         self._si = integrator.first_hit(scene, Ray3f(o, d), seen, by_sensor)
         self._scene, self._ss, self._d, self._seen = scene, ss, d, seen & self._si.is_valid()
+
+    @property
+    def p(self) -> Point3f:
+        """The points x, attached."""
+        return Point3f(self._si.p)
 
     def speed_at_edge(self, behind: Float) -> Float:
         """The speed along n at y of lines from x to fixed points, which are `behind` y at a distance: 0, attached.

@@ -612,10 +612,45 @@ CASES |= {
         ("the sun", {"type": "directional", "to_world": T().look_at([3, 3, 10], [0, 0, 0], [0, 1, 0])}, swing, 2),
     )
 }
+BEAM = {
+    "type": "projector",
+    "to_world": T().look_at([2, 2, 6], [0.2, 0, 0], [0, 1, 0]),
+    "irradiance": SPOTS,
+    "scale": 20.0,
+    "fov": 20.0,
+}
+CASES |= {
+    f"the beam of a projector: {name}": Case(
+        lambda nodes=nodes: {
+            "board": {
+                "type": "rectangle",
+                "to_world": T().translate([-0.5, 0, 1]).rotate([0.6, 0.8, 0], 30).scale(0.7),
+            },
+            "light": BEAM,
+            "floor": FLOOR,
+            "sensor": ASIDE,
+            **nodes,
+        },
+        move,
+        PRB if depth > 2 else Case.kinds,
+        depth=depth,
+        step=0.01,
+        spp=512,
+        spp_difference=16384,
+    )
+    for name, move, depth, nodes in (
+        ("it moves", swing, 2, {}),
+        ("a floor rises", shift("floor.to_world", 0, 0, 1), 2, {}),
+        ("a board moves", shift("board.to_world", 1, 0, 0.5), 2, {}),
+        ("a camera moves", shift("sensor.to_world", 1, 0, 0), 2, {}),
+        ("it moves, seen indirectly", swing, 4, {"wall": WALL}),
+    )
+}
 QUICK = {
     "two cameras: they move": "direct_projective",
     "an image circle, turn: a globe": "prb_projective",
     "a light that moves: a spot": "direct_projective",
+    "the beam of a projector: it moves": "direct_projective",
     "a light that moves: the sun": "prb_projective",
     "parallel rays: a camera": "direct_projective",
     "a ball rises from a floor": "direct_projective",

@@ -154,7 +154,9 @@ def bends_normals(bsdf: Any) -> bool:
 def jumping_textures(rendering: Rendering) -> Iterator[str]:
     """Textures of moving shapes whose colour jumps."""
     owners = [(s, owner) for s in rendering.passes_by() for owner in (s.bsdf(), s.emitter()) if owner is not None]
-    for thing, owner in (*owners, *((light, light) for light in rendering.lights)):
+    # What slides through the light of a texture sees its edges.
+    lights = rendering.emitters(EmitterFlags.Delta) if rendering.movers() else ()
+    for thing, owner in (*owners, *((light, light) for light in lights if not light.on_shape)):
         for texture in textures_in(owner):
             if name_of(type(texture)) == "checkerboard" or getattr(texture, "filter_type", "") == "nearest":
                 yield f"'{thing.id()}' has the texture {named(texture)}"
@@ -175,7 +177,7 @@ def bounded_beams(rendering: Rendering) -> Iterator[str]:
     others_move = rendering.moving or rendering.camera is not None
     for emitter in rendering.emitters(EmitterFlags.Delta) if others_move else rendering.lights:
         narrow = getattr(emitter, "edge_width", NARROW)
-        if emitter.on_shape or name_of(type(emitter)) == "projector":
+        if emitter.on_shape:
             yield f"{named(emitter)} shines"
         elif narrow < NARROW and not recording():
             yield f"the beam of {named(emitter)} ends within {narrow:.2g} degrees"
@@ -328,7 +330,7 @@ CASES: tuple[Case, ...] = (
         jumping_textures,
     ),
     Case(
-        "a `projector` or `directionalarea` light, or a `spot` with a sharp edge",
+        "a `directionalarea` light, or a `spot` with a sharp edge",
         "the sides of its beam aren't followed",
         "use a 'spot' light whose 'beam_width' is less than its 'cutoff_angle', or a small area light",
         bounded_beams,
