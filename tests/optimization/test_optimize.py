@@ -4,12 +4,11 @@ import itertools
 from pathlib import Path
 from typing import Any
 
-import drjit as dr
 import numpy as np
 import pytest
 
 import djpt
-from djpt.apps.optimization import confidence, optimize
+from djpt.apps.optimization import optimize
 from djpt.apps.optimization.loop import order, refined_at
 from djpt.apps.optimization.losses import LOSSES, smoothness, total_variation
 from djpt.apps.optimization.variables import Variable, coarse, magnified
@@ -200,59 +199,3 @@ def test_priors() -> None:
         assert np.isclose(prior(djpt.TensorXf(step)).numpy().item(), 1 / 3, rtol=0.01)
     with pytest.raises(ParameterError, match="textures"):
         smoothness(djpt.Float(1))
-
-
-# ---------------------------------------------------------------- confidence
-
-
-def test_standard_errors_are_those_of_repeated_searches() -> None:
-    scene = floor(size=8)
-    targets = pictures(scene, 1024)
-    stated = confidence(scene, [KEY], targets, spp=16, gradients=32)
-    # One Newton step from the truth, repeated with other seeds, scatters as stated.
-    ends = []
-    params = djpt.traverse(scene)
-    hessian = np.linalg.inv((stated.combinations.T * stated.curvatures) @ stated.combinations)
-    from djpt.apps.optimization.confidence import gradient
-
-    for seed in range(24):
-        views = dict(enumerate(np.array(target, np.float32) for target in targets))
-        ends.append(hessian @ gradient(scene, params, {KEY: 3}, views, 16, 1000 + seed))
-    assert np.allclose(np.std(ends, axis=0), stated.errors, rtol=0.5)
-    assert stated.condition < 100 and not stated.undetermined
-
-
-def test_albedo_times_light_is_undetermined() -> None:
-    """Under a lamp of unknown brightness, with one bounce, only the product of paint and light is seen."""
-    scene = djpt.load_dict(
-        {
-            "type": "scene",
-            "integrator": {"type": "direct"},
-            "sensor": {
-                "type": "perspective",
-                "to_world": djpt.ScalarTransform4f().look_at([0, 0, 3], [0, 0, 0], [0, 1, 0]),
-                "film": {"type": "hdrfilm", "width": 6, "height": 6, "rfilter": {"type": "box"}},
-            },
-            "floor": {
-                "type": "rectangle",
-                "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.5] * 3}},
-            },
-            "lamp": {"type": "point", "position": [0, 0, 2], "intensity": {"type": "rgb", "value": [4.0] * 3}},
-        }
-    )
-    keys = ["floor.bsdf.reflectance.value", "lamp.intensity.value"]
-    found = confidence(scene, keys, [djpt.render(scene, spp=4)], spp=4, gradients=4)
-    assert len(found.undetermined) == 3
-    assert np.isinf(found.errors).all()
-    assert "undetermined" in str(found)
-    # More of the one is less of the other: a change in proportion.
-    for combination in found.undetermined:
-        paint, light = (np.array([combination[f"{key}[{i}]"] for i in range(3)]) for key in keys)
-        assert np.allclose(paint / 0.5, -light / 4.0, atol=1e-3)
-
-
-def test_confidence_is_for_few_numbers() -> None:
-    scene = floor(texture(np.full((8, 8, 3), 0.5)))
-    with pytest.raises(ParameterError, match="1 to 64 numbers"):
-        confidence(scene, ["paint.reflectance.data"], pictures(scene, 1))
-    dr.sync_thread()
