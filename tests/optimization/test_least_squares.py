@@ -71,3 +71,20 @@ def test_what_is_refused() -> None:
         least_squares(lambda x, seed: djpt.Float([1.0, 2.0]), {"x": djpt.Float([0, 0])})
     with pytest.raises(RenderError, match="aren't finite at the start"):
         least_squares(lambda x, seed: x["x"] / 0, {"x": djpt.Float([0, 0])})
+
+
+def test_differences_know_of_edges() -> None:
+    """The end of a bar of whole pixels jumps and has no derivative; images on both sides of it tell where it goes."""
+    place = (np.arange(64, dtype=np.float32) + 0.5) / 64
+
+    def residual(x: Any, seed: int) -> Any:
+        noise = np.random.default_rng(seed).uniform(-0.5, 0.5, (16, 64)).astype(np.float32) / 64
+        ends = djpt.TensorXf((place + noise).reshape(16, 64, 1))
+        end = djpt.TensorXf(dr.repeat(x["end"], 1024), (16, 64, 1))
+        wanted = djpt.TensorXf(np.broadcast_to((place < 0.3).astype(np.float32)[None, :, None], (16, 64, 1)))
+        return dr.select(ends < end, djpt.TensorXf(np.ones((16, 64, 1), np.float32)), 0) - wanted
+
+    found = least_squares(residual, {"end": djpt.Float(0.75)}, differences={"end": 0.2}, coarse=2, iterations=12)
+    assert abs(found.average["end"].item() - 0.3) < 0.02
+    with pytest.raises(RenderError, match="'differences' is given for 'start', not one of the variables"):
+        least_squares(residual, {"end": djpt.Float(0.75)}, differences={"start": 0.2})
