@@ -3,7 +3,8 @@
 Mitsuba: path replay (or projective sampling, for what moves) and Adam. Each problem has three learning rates, and for
 each error the fastest counts. djpt: Gauss-Newton steps, diagonal where all derivatives have one sign (`optimize`), else
 damped and taken back (`least_squares`), with one setting for each problem. Both start from the same values, with the
-same pictures, rendered by each renderer itself, and the same samples per pixel unless said.
+same pictures, rendered by each renderer itself, and the same samples per pixel. For what moves, `least_squares`
+compares images on both sides of each unknown, which need no projective sampling.
 
 The error is the mean absolute difference from the true values, relative to that at the start. Seconds are those of the
 processor (of all threads), of the search alone: kernels are compiled before, and errors aren't timed.
@@ -36,6 +37,8 @@ from djpt.validation.bridge import mitsuba_scene, to_mitsuba
 T = djpt.ScalarTransform4f
 TARGETS = (0.4, 0.2, 0.1)
 """The errors to be reached, relative to that at the start."""
+LONGEST = 40.0
+"""The processor's seconds after which one of Mitsuba's rates is given up."""
 SEARCH = 2**20
 """The first seed of searches, beyond those of pictures."""
 
@@ -67,6 +70,8 @@ class Problem:
     spp: int = 8
     coarse: int = 0
     """For ``least_squares``: how often the picture is halved at first."""
+    differences: float = 0.0
+    """For ``least_squares``: the distance over which images are compared; 0: derivatives."""
     iterations: int = 60
     """The most steps of djpt."""
     steps: int = 120
@@ -229,7 +234,8 @@ def ball_on_floor(size: int) -> dict[str, Any]:
     """A ball over a floor, at the origin before it is moved."""
     return {
         "type": "scene",
-        "integrator": {"type": "direct_projective"},
+        # As in Mitsuba's tutorial of object poses: shadows that move have no derivatives, which take most of the time.
+        "integrator": {"type": "direct_projective", "sppi": 0},
         "sensor": camera(size, [0, -3, 2.5], [0, 0, 0.3], 45),
         "floor": {"type": "rectangle", "to_world": T().scale(3), "bsdf": {"type": "diffuse", "reflectance": 0.5}},
         "sky": {"type": "constant", "radiance": 0.5},
@@ -259,6 +265,7 @@ def pose() -> Problem:
         "least_squares",
         spp=16,
         coarse=3,
+        differences=0.15,
         iterations=12,
         steps=80,
     )
@@ -309,12 +316,199 @@ def roughness() -> Problem:
     )
 
 
+SLOPES = np.random.default_rng(4).uniform(-0.4, 0.4, (4, 4, 2)).astype(np.float32)
+NORMALS = "body.bsdf.normalmap.data"
+
+
+def bumpy_plate(size: int) -> dict[str, Any]:
+    """A principled plate with a normal map under lamps of three colours."""
+    flat = {"type": "bitmap", "data": np.full((4, 4, 3), 0.5, np.float32), "raw": True, "filter_type": "bilinear"}
+    paint = {"type": "principled", "base_color": {"type": "rgb", "value": [0.6, 0.6, 0.6]}, "roughness": 0.6}
+
+    def coloured(origin: list[float], radiance: list[float]) -> dict[str, Any]:
+        to_world = T().look_at(origin, [0, 0, 0], [0, 0.1, 1]).scale(0.3)
+        emitter = {"type": "area", "radiance": {"type": "rgb", "value": radiance}}
+        return {"type": "rectangle", "to_world": to_world, "emitter": emitter}
+
+    return {
+        "type": "scene",
+        "integrator": {"type": "prb", "max_depth": 2},
+        "sensor": camera(size, [0, -0.5, 3], [0, 0, 0], 42),
+        "body": {"type": "rectangle", "bsdf": {"type": "normalmap", "normalmap": flat, "bsdf": paint}},
+        "one": coloured([2, 0, 2], [30, 2, 2]),
+        "two": coloured([-1, 1.7, 2], [2, 30, 2]),
+        "three": coloured([-1, -1.7, 2], [2, 2, 30]),
+    }
+
+
+def apply_slopes(module: Any, params: Any, x: Any) -> None:
+    """The normals of the plate, from its slopes."""
+    index = dr.arange(module.UInt32, 48)
+    texel, axis = index // 3, index % 3
+    u, v = (dr.gather(module.Float, x.array, 2 * texel + k) for k in (0, 1))
+    component = dr.select(axis == 0, u, dr.select(axis == 1, v, 1)) * dr.rsqrt(1 + u * u + v * v)
+    params[NORMALS] = module.TensorXf(0.5 + 0.5 * component, (4, 4, 3))
+
+
+def normals() -> Problem:
+    """The normal map of a principled body."""
+    return Problem(
+        "normal map of a principled body",
+        "4 x 4 texels of a normal map, two slopes each, under lamps of three colours.",
+        bumpy_plate,
+        SLOPES,
+        np.zeros_like(SLOPES),
+        apply_slopes,
+        "TensorXf",
+        (0.02, 0.05, 0.1),
+        (-1.0, 1.0),
+        "least_squares",
+        spp=16,
+        iterations=12,
+    )
+
+
+VIEW = np.array([0.25, -0.15, 0.2, 0.06, -0.08, 0.1], np.float32)
+
+
+def looked_at(size: int) -> dict[str, Any]:
+    """A ball and a box on a floor, for a camera that moves."""
+    scene = ball_on_floor(size)
+    scene["ball"]["to_world"] = T().translate([0.5, 0, 0.4])
+    red = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.7, 0.2, 0.1]}}
+    scene["box"] = {"type": "cube", "to_world": T().translate([-0.6, 0.3, 0.3]).scale(0.3), "bsdf": red}
+    return scene
+
+
+def apply_view(module: Any, params: Any, x: Any) -> None:
+    """Move the camera by three numbers, and turn it by three, in its own frame."""
+    a = [dr.gather(module.Float, x, module.UInt32(i)) for i in range(6)]
+    moved = module.Transform4f().look_at([0, -3, 2.5], [0, 0, 0.3], [0, 0, 1]).translate(a[:3])
+    for axis, angle in zip(np.eye(3).tolist(), a[3:], strict=True):
+        moved = moved.rotate(axis, angle * (180 / math.pi))
+    params["sensor.to_world"] = moved
+
+
+def view() -> Problem:
+    """The pose of a camera."""
+    return Problem(
+        "camera pose",
+        "The place and the turn of a camera, six numbers, before a ball and a box.",
+        looked_at,
+        VIEW,
+        np.zeros_like(VIEW),
+        apply_view,
+        "Float",
+        (0.003, 0.01, 0.03),
+        (-1.0, 1.0),
+        "least_squares",
+        spp=16,
+        coarse=1,
+        differences=0.05,
+        iterations=16,
+        steps=80,
+    )
+
+
+SHEEN = np.array([0.8, 0.45, 0.2, 0.3, 0.7], np.float32)
+
+
+def material_ball(size: int) -> dict[str, Any]:
+    """A principled ball under a sky."""
+    scene = ball_under_sky(size)
+    colour = {"type": "rgb", "value": [0.5, 0.5, 0.5]}
+    scene["ball"]["bsdf"] = {"type": "principled", "base_color": colour, "roughness": 0.5, "metallic": 0.5}
+    return scene
+
+
+def apply_material(module: Any, params: Any, x: Any) -> None:
+    """Colour, roughness and metallic of the ball."""
+    a = [dr.gather(module.Float, x.array, module.UInt32(i)) for i in range(5)]
+    params["ball.bsdf.base_color.value"] = module.Color3f(*a[:3])
+    params["ball.bsdf.roughness.value"] = a[3]
+    params["ball.bsdf.metallic.value"] = a[4]
+
+
+def material() -> Problem:
+    """A material fitted by `principled`."""
+    return Problem(
+        "material of a ball, fitted by principled",
+        "Colour, roughness and metallic, five numbers, from a picture under a sky.",
+        material_ball,
+        SHEEN,
+        np.full_like(SHEEN, 0.5),
+        apply_material,
+        "TensorXf",
+        (0.01, 0.03, 0.06),
+        (0.05, 1.0),
+        "least_squares",
+        spp=16,
+        differences=0.1,
+        iterations=16,
+    )
+
+
+SMOKE = np.random.default_rng(3).uniform(0.2, 3.0, (4, 4, 4, 1)).astype(np.float32)
+DENSITY = "body.interior_medium.sigma_t.data"
+
+
+def smoke(size: int) -> dict[str, Any]:
+    """A cube of smoke before a bright sky with a lamp, seen from four sides."""
+    grid = {"type": "gridvolume", "grid": SMOKE, "to_world": T().translate([-1, -1, -1]).scale(2)}
+    medium = {"type": "heterogeneous", "albedo": 0.6, "sigma_t": grid, "scale": 1.0}
+    views = {
+        f"view{k}": {
+            "type": "perspective",
+            "fov": 40,
+            "to_world": T().look_at([4.2 * math.cos(a), 4.2 * math.sin(a), 1.5 - k], [0, 0, 0], [0, 0, 1]),
+        }
+        for k, a in enumerate(np.linspace(0.3, 0.3 + 1.5 * math.pi, 4))
+    }
+    wide = {**film(size), "width": 4 * size}
+    return {
+        "type": "scene",
+        "integrator": {"type": "prbvolpath", "max_depth": 4, "rr_depth": 10},
+        "sensor": {"type": "batch", "film": wide, **views},
+        "body": {"type": "cube", "bsdf": {"type": "null"}, "interior": medium},
+        "sky": {"type": "constant", "radiance": 0.5},
+        "light": {"type": "point", "position": [2, -2, 3], "intensity": 30.0},
+    }
+
+
+def apply_smoke(module: Any, params: Any, x: Any) -> None:
+    """The density of the smoke."""
+    params[DENSITY] = x
+
+
+def volume() -> Problem:
+    """The density of a volume."""
+    return Problem(
+        "volume density",
+        "4 x 4 x 4 densities of a cube of smoke, from four sides. Light is scattered up to three times.",
+        smoke,
+        SMOKE,
+        np.full_like(SMOKE, 1.0),
+        apply_smoke,
+        "TensorXf",
+        (0.05, 0.1, 0.2),
+        (0.01, 10.0),
+        "least_squares",
+        spp=16,
+        size=24,
+        iterations=20,
+    )
+
+
 PROBLEMS: dict[str, Callable[[], Problem]] = {
     "paints": paints,
     "texture": texture,
     "environment": environment,
     "pose": pose,
     "roughness": roughness,
+    "normals": normals,
+    "view": view,
+    "material": material,
+    "volume": volume,
 }
 
 
@@ -456,6 +650,7 @@ class Renderer:
             residual,
             {"x": self.typed(problem.start)},
             bounds={"x": problem.bounds},
+            differences={"x": problem.differences},
             coarse=problem.coarse,
             iterations=steps,
             callback=seen,
@@ -491,16 +686,18 @@ class Result:
 def solve(mi: Any, problem: Problem) -> Result:
     """Solve a problem in both renderers."""
     description = problem.scene(problem.size)
-    ours = Renderer(djpt, problem, djpt.load_dict(description))
+    primal = {"integrator": {"type": "direct"}} if description["integrator"]["type"] == "direct_projective" else {}
+    ours = Renderer(djpt, problem, djpt.load_dict({**description, **primal}))
     theirs = Renderer(mi, problem, in_mitsuba(mi, description))
     ours.second_order(1)  # compiles
     mine = ours.second_order(problem.iterations)
+    print(f"djpt: {', '.join(f'{t:.2f} s {e:.3f}' for t, e in mine.points)}", file=sys.stderr, flush=True)
     theirs.adam(problem.rates[0], 2)
     courses = list[Course]()
     # The middle first: it is often the fastest, and the others are given up when they take as long.
     for rate in (problem.rates[1], problem.rates[0], problem.rates[2]):
-        fastest = min((course.seconds(TARGETS[-1]) for course in courses), default=math.inf)
-        courses.append(theirs.adam(rate, problem.steps, fastest))
+        fastest = min((course.seconds(TARGETS[-1]) for course in courses), default=LONGEST)
+        courses.append(theirs.adam(rate, problem.steps, min(fastest, LONGEST)))
     last = mine.last if mine.last is not None else problem.start
     pictures = {
         "start": np.array(ours.picture(problem.start)),
