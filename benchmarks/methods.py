@@ -1,4 +1,4 @@
-"""Which method wins where: the table of docs/theory/both-ends.md, of all integrators from `path` on.
+"""Which method wins where: the tables of docs/theory/both-ends.md and points-and-beams.md.
 
     python benchmarks/methods.py [SCENE ..] [--methods ..] [--size N] [--spp N] [--seeds N]
 
@@ -6,7 +6,7 @@ Per scene and method: the gain, which is error times time of `path` over that of
 sample and the error, both as shares of those of `path`. The error is the mean square over all pixels but those that see
 a lamp, directly, in mirrors or through glass, the bias against the mean of `bdpt` included; the time is that of all
 processor cores, all that a method does before and after its samples included. Methods are those of `djpt ladder` that
-reach all light of most scenes.
+reach all light of most scenes; in fog they are those that follow media, and `volpath` takes the place of `path`.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import argparse
 import tempfile
 import time
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -31,13 +32,21 @@ FIRST = next(i for i, step in enumerate(STEPS) if step.title == "path")
 METHODS = tuple(step.title for step in STEPS[FIRST:])
 """The integrators that are compared."""
 
-SCENES = ("cornell_box", "mesh", "fixture", "lamp_in_glass", "glass_ball", "parabolic_mirror", "door_ajar")
-"""Built-in scenes, and the Cornell box with a ball of triangles."""
+IN_FOG = ("volpath", "bdpt", "sppm", "vcm", "upbp")
+"""The integrators that are compared in fog."""
+
+FOGGY = {"caustic_in_fog": "glass_ball", "lamp_in_glass_in_fog": "lamp_in_glass"}
+"""The scenes in fog, and the built-in scenes that they are without it."""
+
+DEPTH_IN_FOG = 8
+
+SCENES = ("cornell_box", "mesh", "fixture", "lamp_in_glass", "glass_ball", "parabolic_mirror", "door_ajar", *FOGGY)
+"""Built-in scenes, the Cornell box with a ball of triangles, and scenes in fog."""
 
 
 def scene_of(name: str, size: int) -> dict[str, Any]:
     """The description of a scene, `size` x `size` pixels with a box filter."""
-    scene = with_mesh() if name == "mesh" else djpt.scenes.SCENES[name]()
+    scene = with_mesh() if name == "mesh" else djpt.scenes.SCENES[FOGGY.get(name, name)]()
     scene["sensor"]["film"].update(width=size, height=size, rfilter={"type": "box"})
     return scene
 
@@ -49,6 +58,21 @@ def with_mesh() -> dict[str, Any]:
     file = str(mesh_scenes.write_bumpy_sphere(Path(tempfile.gettempdir()), 20_000))
     scene["small-box"] = {"type": "ply", "filename": file, "to_world": place, "bsdf": scene["small-box"]["bsdf"]}
     return scene
+
+
+def in_fog(scene: dict[str, Any]) -> dict[str, Any]:
+    """A scene with a glass ball, in thin fog that fills all space but the ball."""
+    fog = {"type": "ref", "id": "fog"}
+    scene["fog"] = {"type": "homogeneous", "id": "fog", "sigma_t": 0.3, "albedo": 0.9}
+    scene["sensor"]["medium"] = scene["ball"]["exterior"] = fog
+    return scene
+
+
+def integrators(name: str, methods: Sequence[str], scene: Any) -> dict[str, dict[str, Any]]:
+    """The descriptions of the integrators that are compared in a scene, by their titles; the first one is 1."""
+    if name in FOGGY:
+        return {title: {"type": title, "max_depth": DEPTH_IN_FOG} for title in IN_FOG}
+    return {step.title: step.description(scene) for step in STEPS if step.title in methods}
 
 
 def without_paint(node: dict[str, Any]) -> dict[str, Any]:
@@ -96,16 +120,16 @@ def run(scene: Any, integrator: Any, spp: int, seeds: int, where: np.ndarray) ->
 def row(name: str, options: Any) -> str:
     """The row of a scene."""
     description = scene_of(name, options.size)
-    scene = djpt.load_dict(description)
     lamps = np.array(djpt.render(djpt.load_dict(without_paint(description)), spp=256))
     where = lamps.max(axis=2) == 0
+    scene = djpt.load_dict(in_fog(description) if name in FOGGY else description)
     found = {}
-    for step in (step for step in STEPS if step.title in options.methods):
-        integrator = djpt.load_dict(step.description(scene))
-        found[step.title] = run(scene, integrator, options.spp, options.seeds, where)
-    path, reference, cells = found["path"], found.get("bdpt", found["path"]), []
+    for title, integrator in integrators(name, options.methods, scene).items():
+        found[title] = run(scene, djpt.load_dict(integrator), options.spp, options.seeds, where)
+    first, cells = next(iter(found.values())), []
+    reference = found.get("bdpt", first)
     for runs in found.values():
-        share, slower = runs.error(reference) / path.error(reference), runs.seconds / path.seconds
+        share, slower = runs.error(reference) / first.error(reference), runs.seconds / first.seconds
         cells.append(f"{1 / (share * slower):.2g} ({slower:.1f} x {share:.2g})")
     return f"| `{name}` | " + " | ".join(cells) + " |"
 
@@ -120,10 +144,15 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=32)
     options = parser.parse_args()
     warnings.simplefilter("ignore")  # of what a method can't show in a scene
-    print("| scene | " + " | ".join(f"`{title}`" for title in METHODS if title in options.methods) + " |")
-    print("|---" * (1 + len(options.methods)) + "|")
-    for name in options.scenes:
-        print(row(name, options), flush=True)
+    for names, titles in (
+        ([name for name in options.scenes if name not in FOGGY], [t for t in METHODS if t in options.methods]),
+        ([name for name in options.scenes if name in FOGGY], IN_FOG),
+    ):
+        if names:
+            print("| scene | " + " | ".join(f"`{title}`" for title in titles) + " |")
+            print("|---" * (1 + len(titles)) + "|")
+        for name in names:
+            print(row(name, options), flush=True)
 
 
 if __name__ == "__main__":

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from djpt.integrators.ptracer import ParticleTracer as ParticleTracer
     from djpt.integrators.raycast import Raycast as Raycast
     from djpt.integrators.sppm import StochasticProgressivePhotonMapping as StochasticProgressivePhotonMapping
+    from djpt.integrators.upbp import UnifiedPointsBeamsPaths as UnifiedPointsBeamsPaths
     from djpt.integrators.vcm import VertexConnectionMerging as VertexConnectionMerging
     from djpt.integrators.volpath import VolumetricPath as VolumetricPath
     from djpt.integrators.volpathmis import VolumetricPathMIS as VolumetricPathMIS

@@ -37,7 +37,7 @@ from djpt.integrators.bidirectional.subpath import (
     scaled,
     vertices,
 )
-from djpt.integrators.paths.path_vertex import PathVertex, Scattering, is_half_open, next_vertex
+from djpt.integrators.paths.path_vertex import NextVertex, PathVertex, Scattering, is_half_open, next_vertex
 from djpt.integrators.paths.transmittance import transmittance
 from djpt.integrators.termination import Terminating, first_roulette, roulette
 from djpt.jit.kernels import loop_traced_once, minimum, while_loop, wide
@@ -285,9 +285,12 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
         further = on & (subpath.depth < self.longest)
         joins = further & vertex.is_smooth()
         emitted = None if emitted is None else incoming.throughput * emitted
-        merged = self.merged(scene, subpath, vertex, sampler, joins)
-        if merged is not None:
-            emitted = merged if emitted is None else emitted + merged
+        for found in (
+            self.merged(scene, subpath, vertex, sampler, joins),
+            self.crossed(scene, incoming, reached, active),
+        ):
+            if found is not None:
+                emitted = found if emitted is None else emitted + found
         # Through null surfaces all paths go on.
         return CameraHit(
             vertex,
@@ -387,6 +390,10 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
         self, scene: Scene, subpath: Subpath, vertex: PathVertex, sampler: SampleStream, joins: Bool
     ) -> Color3f | None:
         """The light that is found at a vertex of a camera path, where it `joins`, in other ways: none."""
+        return None
+
+    def crossed(self, scene: Scene, incoming: Subpath, reached: NextVertex, active: Bool) -> Color3f | None:
+        """The light that is found along an edge of a camera path, before the vertex that it has reached: none."""
         return None
 
     # ---- either way --------------------------------------------------------------------

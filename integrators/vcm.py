@@ -11,7 +11,7 @@ from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
 from djpt.integrators.bdpt import BidirectionalPath
 from djpt.integrators.bidirectional.subpath import Subpath, mis_weight
-from djpt.integrators.paths.path_vertex import MediumVertex, PathVertex, next_vertex, phase_evaluated
+from djpt.integrators.paths.path_vertex import MediumVertex, NextVertex, PathVertex, next_vertex, phase_evaluated
 from djpt.integrators.photons import (
     NOWHERE,
     Photon,
@@ -88,9 +88,14 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
         """The subpath up to a vertex that can be joined: by connections, whose densities are 1, and by mergings."""
         merging, inside = self._merging, vertex.medium_vertex
         if inside is not None:
-            _, sigma_t = scattering_at(scene, inside.medium, vertex.si.p, inside.inside)
-            merging = dr.select(inside.inside, self.point_merging(sigma_t), merging)
+            merging = dr.select(
+                inside.inside, self.merging_at(scene, inside.medium, vertex.si.p, inside.inside), merging
+            )
         return replace(subpath, vcm=subpath.vcm + merging)
+
+    def merging_at(self, scene: Scene, medium: UInt32, p: Point3f, active: Bool) -> Float:
+        """The sum of h(density) of all ways to merge paths at a point in a medium."""
+        return self.point_merging(scattering_at(scene, medium, p, active)[1])
 
     def point_merging(self, sigma_t: Color3f) -> Float:
         """h(density) of merging points in a medium; it has one number for all channels."""
@@ -133,12 +138,13 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
         assert self.photons is not None
         sigma_s, sigma_t = scattering_at(scene, at.medium, p, joins)
         here = self.point_merging(sigma_t)
+        beside = self.merging_at(scene, at.medium, p, joins) - here
 
         def worth(photon: Photon) -> Color3f:
             value, pdf, back = phase_evaluated(scene, at.medium, p, at.wi, -photon.d, joins)
             by_light = photon.vcm + photon.vc * self.h(pdf)
             by_camera = subpath.vcm + subpath.vc * self.h(back)
-            return value * photon.flux * mis_weight((by_light + by_camera) * dr.rcp(here))
+            return value * photon.flux * mis_weight((by_light + by_camera + beside) * dr.rcp(here))
 
         found = self.photons.density_in_medium(p, at.medium, edges, joins, worth)
         covered = inverse_coverage_in_medium(scene, self.photons, p, sampler, dr.max(found) > 0)
@@ -156,6 +162,7 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
         si = scene.surface_interaction(ray, scene.closest_hit(ray), scene.surface_detail)
         reached = next_vertex(scene, ray, si, path.subpath.throughput, sampler)
         vertex = reached.vertex
+        self.crossing(scene, path, reached, store)
         subpath = path.subpath.arrived(vertex, reached.transmittance, self.h)
         on = vertex.si.is_valid() & (subpath.depth < self.joined)
         flux = subpath.throughput * path.power
@@ -169,7 +176,10 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
         after = self.joinable(scene, subpath, vertex).scattered(vertex, s, throughput, self.h)
         if scene.media.scatter:
             after = path.subpath.passing(vertex, vertex.passes(s), after)
-        return PhotonPath(after, path.power), on & survives & (after.depth < self.joined)
+        return replace(path, subpath=after), on & survives & (after.depth < self.joined)
+
+    def crossing(self, scene: Scene, path: PhotonPath, reached: NextVertex, store: PhotonStore) -> None:
+        """Leave what else the next edge of a light path leaves: nothing but the photon at its end."""
 
 
 register_integrator("vcm", VertexConnectionMerging)

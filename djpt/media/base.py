@@ -193,6 +193,13 @@ class Medium(Plugin):
         """
         return tracking.fly(self, ray, length, throughput, stream, active)
 
+    def passing_weight(self, ray: Ray3f, t: Float, throughput: Color3f, active: Bool | bool = True) -> Color3f:
+        """The transmittance up to the distance `t`, over the probability that `fly` gets that far.
+
+        1 if the extinction doesn't differ between channels. Media that are tracked don't know it if it does.
+        """
+        return Color3f(1)
+
     def transmittance(self, ray: Ray3f, length: Float, stream: SampleStream | None, active: Bool) -> Color3f:
         """The fraction of light left after a segment of a ray with a unit direction; by default by ratio tracking.
 
@@ -247,10 +254,15 @@ class MeasuredMedium(Medium):
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
-        self.albedo = props.volume("albedo", 0.75, low=0.0, high=1.0)
-        self.sigma_t = props.volume("sigma_t", 1.0, low=0.0)
+        sigma_t, albedo = self.defaults(props)
+        self.albedo = props.volume("albedo", albedo, low=0.0, high=1.0)
+        self.sigma_t = props.volume("sigma_t", sigma_t, low=0.0)
         self.scale = as_float(props.float("scale", 1.0, low=0.0))
         self.m_has_spectral_extinction = props.boolean("has_spectral_extinction", True)
+
+    def defaults(self, props: Properties) -> tuple[Any, Any]:
+        """The `sigma_t` and the `albedo` of a description that doesn't give them."""
+        return 1.0, 0.75
 
     def traverse(self, callback: TraversalCallback) -> None:
         callback.put("scale", self.scale, ParamFlags.Differentiable)

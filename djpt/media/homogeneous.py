@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
 
@@ -17,6 +17,7 @@ from djpt.jit.kernels import maximum, minimum
 from djpt.jit.types import Bool, Color3f, Float, UInt32
 from djpt.media.base import MeasuredMedium
 from djpt.media.flight import FAR, Flight, of_channel
+from djpt.media.translucent import translucent
 from djpt.samplers.base import SampleStream
 
 if TYPE_CHECKING:
@@ -38,7 +39,10 @@ class Homogeneous(MeasuredMedium):
     is drawn for the flight; then its density accounts for all channels that could have been drawn.
 
     Parameters: `sigma_t` (extinction per unit length: a number or rgb, >= 0, default 1), `scale` (a factor of it,
-    default 1), `albedo` (the scattered fraction: a number, rgb or volume in [0, 1], default 0.75),
+    default 1), `albedo` (the scattered fraction: a number, rgb or volume in [0, 1], default 0.75), or in place of
+    `sigma_t` and `albedo` a `material` (a name of `djpt.media.translucent.MATERIALS`, such as `whole_milk`, per mm), or
+    a `color` in [0, 1] (that of a large body of the medium, if light is scattered evenly) with a `radius` (1 / sigma_t,
+    a number or rgb > 0, default 1);
     `has_spectral_extinction` (default true; false: `sigma_t` is grey, and a colour's first channel counts), a phase
     function, `sample_emitters` and `emission` (the same everywhere).
     """
@@ -54,6 +58,9 @@ class Homogeneous(MeasuredMedium):
             raise SceneError(f"{props.node}: 'sigma_t' must be the same everywhere; a 'heterogeneous' medium varies")
         if self.emission is not None and not self.emission.is_constant:
             raise SceneError(f"{props.node}: 'emission' must be the same everywhere; a 'heterogeneous' medium varies")
+
+    def defaults(self, props: Properties) -> tuple[Any, Any]:
+        return translucent(props) or super().defaults(props)
 
     def move_into(self, frame: Frame) -> None:
         super().move_into(frame)
@@ -150,6 +157,14 @@ class Homogeneous(MeasuredMedium):
         series = length * (1 - x * (1 / 2 - x * (1 / 6 - x * (1 / 24))))
         reached = dr.select(thin, series, (1 - dr.exp(-x)) * dr.rcp(dr.select(thin, 1, sigma_t)))
         return self.emission_at(MediumInteraction3f.on(ray, Float(0))) * reached
+
+    def passing_weight(self, ray: Ray3f, t: Float, throughput: Color3f, active: Bool | bool = True) -> Color3f:
+        if not self.has_spectral_extinction():
+            return Color3f(1)
+        sigma_t = self.extinction(MediumInteraction3f.on(ray, Float(0)), active)
+        left = dr.exp(-minimum(t, FAR) * sigma_t)
+        probability = dr.dot(channel_probabilities(sigma_t, dr.detach(throughput)), left)
+        return dr.select(probability > 0, left * dr.rcp(probability), 0)
 
     def transmittance(self, ray: Ray3f, length: Float, stream: SampleStream | None, active: Bool) -> Color3f:
         sigma_t = self.extinction(MediumInteraction3f.on(ray, Float(0)), active)

@@ -272,6 +272,16 @@ class Media:
             flight = dr.select(mine, flown, flight)
         return flight
 
+    def passing_weight(self, ray: Ray3f, t: Float, throughput: Color3f, active: Bool) -> Color3f:
+        """The transmittance up to a distance, over the probability of getting there: see `Medium.passing_weight`."""
+        assert ray.medium is not None
+        weight = Color3f(1)
+        for group in self.ensemble.groups:
+            mine = self.ensemble.members(group, ray.medium)
+            medium = group.at(self.ensemble.slots(group, ray.medium), self.lookup)
+            weight = dr.select(mine, medium.passing_weight(ray, t, throughput, mine & active), weight)
+        return weight
+
     def transmittance(
         self, ray: Ray3f, length: Float | None = None, stream: SampleStream | None = None, active: Bool | bool = True
     ) -> Color3f:

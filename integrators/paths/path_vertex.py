@@ -209,6 +209,8 @@ class NextVertex:
     """Transmittance of media, over the density of having come that far."""
     emitted: Color3f | None
     """The light that media have added on the way; None if none of them glows."""
+    length: Float
+    """How far the ray reaches if nothing scatters it before: up to a surface, or to its end."""
 
 
 def next_vertex(
@@ -219,7 +221,7 @@ def next_vertex(
     `throughput` is that of the path, by which media choose a channel.
     """
     if not scene.media.scatter:
-        return NextVertex(PathVertex(si, None), scene.media.transmittance(ray, si.t), None)
+        return NextVertex(PathVertex(si, None), scene.media.transmittance(ray, si.t), None, si.t)
     length = dr.select(si.is_valid(), si.t, ray.maxt)
     flight = scene.media.fly(ray, length, None, throughput, sampler)
     assert ray.medium is not None
@@ -229,6 +231,7 @@ def next_vertex(
         PathVertex(vertex_of(ray, si, flight), medium_vertex),
         transmittance,
         flight.emitted if scene.media.emit else None,
+        length,
     )
 
 

@@ -18,6 +18,7 @@ from typing import Any
 
 import drjit as dr
 
+from djpt.integrators.photons.cells import Box
 from djpt.integrators.photons.photon import MOST_EDGES, NOWHERE, WORDS, Photon, PhotonStore, memory_for, unpacked
 from djpt.jit.kernels import as_float, while_loop, wide
 from djpt.jit.types import (
@@ -78,14 +79,16 @@ class PhotonMap:
     in_media = False
     """True if some of its photons are in media."""
 
-    def __init__(self, radius: float, paths: int, unit: float) -> None:
+    def __init__(self, radius: float, paths: int, unit: float, box: Box | None = None) -> None:
         """Create a map without photons: `fill` adds them.
 
         Args:
             radius: the distance up to which photons count.
             paths: the light paths that they come from.
             unit: a radiance of typical size, a power of two: it sets the precision of sums.
+            box: a box about most photons in media; None if nobody asks for it.
         """
+        self.box = box
         density = math.pi * radius**2 * paths
         self.expected = as_float(density)
         """The photons within the radius per density of light paths: pi radius^2 paths."""
@@ -152,9 +155,12 @@ class PhotonMap:
         beside: Float = dr.maximum(low - c, c - low - self._width)
         return dr.select(beside > 0, beside, Float(0))
 
-    def _photon(self, i: UInt32, there: Bool, lanes: int) -> Photon:
+    def _of_run(self, i: UInt32, there: Bool, lanes: int) -> Photon:
         """A photon of a run."""
-        i = dr.select(i < self._count, i, i - self._count)
+        return self.photon(dr.select(i < self._count, i, i - self._count), there, lanes)
+
+    def photon(self, i: UInt32, there: Bool, lanes: int) -> Photon:
+        """The photon of a number."""
         packet = dr.gather(ArrayXf, self._photons, i, there, shape=(WORDS, lanes))
         weights = dr.gather(Vector2f, self._weights, i, there) if self._weighted else None
         return unpacked(packet, weights, self.in_media)
@@ -225,10 +231,10 @@ class PhotonMap:
         z1 = dr.minimum(self._across(p.z + z), z0 + (MOST_ACROSS - 1))
 
         def add(i: UInt32, there: Bool, total: list[Int64]) -> list[Int64]:
-            photon = self._photon(i, there, lanes)
+            photon = self._of_run(i, there, lanes)
             to = photon.p - p
             counts = there & belongs(photon, to) & (dr.squared_norm(to) <= self._square) & (photon.edges <= most)
-            return self._added(total, counts, worth(photon))
+            return self.added(total, counts, worth(photon))
 
         def step(y: Int32, z: Int32, i: UInt32, end: UInt32, total: list[Int64]) -> tuple[Any, ...]:
             for _ in range(AT_ONCE):
@@ -245,17 +251,27 @@ class PhotonMap:
         # A lane ends behind the last row.
         z0 = dr.select(active, z0, z1 + 1)
         start, stop = self._run(p, x, y0, z0, active)
-        sums = [dr.zeros(Int64, lanes) for _ in range(3)]
+        sums = self.zero(lanes)
         state = (wide(y0, lanes), wide(z0, lanes), wide(start, lanes), wide(stop, lanes), sums)
         done = while_loop(state, lambda y, z, i, end, total: z <= z1, step, label="photons")
-        return self._color(done[4])
+        return self.color(done[4])
 
-    def _added(self, total: list[Int64], counts: Bool, worth: Color3f) -> list[Int64]:
+    def position(self, i: UInt32, there: Bool) -> tuple[Point3f, UInt32]:
+        """The position of a photon by its number, and what its word says: see `djpt.integrators.photons.photon`."""
+        packet = dr.gather(Array4f, self._photons, i * (WORDS // 4), there)
+        word: Any = dr.reinterpret_array(UInt32, packet[3])
+        return Point3f(packet[0], packet[1], packet[2]), UInt32(word)
+
+    def zero(self, lanes: int) -> list[Int64]:
+        """A sum of no contributions."""
+        return [dr.zeros(Int64, lanes) for _ in range(3)]
+
+    def added(self, total: list[Int64], counts: Bool, worth: Color3f) -> list[Int64]:
         """A sum with the contribution of one more photon, if it `counts`."""
         color = worth * self._scale
         return [t + Int64(dr.round(dr.select(counts, c, 0))) for t, c in zip(total, color, strict=True)]
 
-    def _color(self, total: list[Int64]) -> Color3f:
+    def color(self, total: list[Int64]) -> Color3f:
         """A sum as a colour."""
         return Color3f(*(Float(Float64(t)) * self._unit for t in total))
 

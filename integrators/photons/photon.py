@@ -6,6 +6,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
 
 from djpt.core.memory import RESERVE, shortage
 from djpt.core.warp import direction_at, place_of
@@ -22,6 +24,7 @@ __all__ = [
     "coded",
     "decoded",
     "direction_in",
+    "edges_and_medium",
     "memory_for",
     "require_memory",
     "unpacked",
@@ -162,6 +165,15 @@ class PhotonStore:
         self._make_room(found + found // 4)
         return None
 
+    def places_in_media(self, count: int) -> NDArray[np.float32]:
+        """The positions of those of the `count` photons that are in media, (n, 3)."""
+        if not count or not self.in_media:
+            return np.zeros((0, 3), np.float32)
+        packets = np.array(self.photons).reshape(-1, WORDS)[:count]
+        place = packets[:, 3].view(np.uint32) >> EDGES_DIGITS
+        there = packets[(place & (2**NORMAL_DIGITS - 1)) == IN_MEDIUM]
+        return np.asarray(there[:, :3])
+
 
 def memory_for(photons: int, weighted: bool) -> tuple[Float, Float]:
     """Memory for the packets of some photons, and for their weights, if they have any."""
@@ -179,17 +191,22 @@ def packed(photon: Photon) -> ArrayXf:
     return ArrayXf([p.x, p.y, p.z, Float(word), flux.x, flux.y, flux.z, word_of(photon.d)])
 
 
+def edges_and_medium(word: UInt32) -> tuple[Float, UInt32]:
+    """The number of edges of a photon, and of its medium or `NOWHERE`, by the word of its packet."""
+    place = word >> EDGES_DIGITS
+    inside = (place & (2**NORMAL_DIGITS - 1)) == IN_MEDIUM
+    return Float(word & MOST_EDGES), dr.select(inside, place >> NORMAL_DIGITS, NOWHERE)
+
+
 def unpacked(packet: ArrayXf, weights: Vector2f | None, in_media: bool = False) -> Photon:
     """The photon of a packet, and of weights if it has some; `in_media`: whether it knows its medium."""
     x, y, z, word, red, green, blue, way = packet
     bits: Any = dr.reinterpret_array(UInt32, word)
     n = Normal3f(decoded(UInt32(bits) >> EDGES_DIGITS, NORMAL_DIGITS))
-    edges = Float(UInt32(bits) & MOST_EDGES)
+    edges, medium = edges_and_medium(UInt32(bits))
     photon = Photon(Point3f(x, y, z), n, edges, direction_in(way), Color3f(red, green, blue))
     if in_media:
-        place = UInt32(bits) >> EDGES_DIGITS
-        number = place >> NORMAL_DIGITS
-        photon.medium = dr.select((place & (2**NORMAL_DIGITS - 1)) == IN_MEDIUM, number, NOWHERE)
+        photon.medium = medium
     return photon if weights is None else replace(photon, vcm=weights.x, vc=weights.y)
 
 

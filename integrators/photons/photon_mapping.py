@@ -107,11 +107,24 @@ class PhotonMapping(SplattingIntegrator):
         """The radius of the pass `number` = 0, 1, .. of an image, from its `first` radius."""
         return first * (number + 1) ** ((self.alpha - 1) / 2)
 
+    def store(self, scene: Scene) -> PhotonStore:
+        """Memory for the photons of a pass."""
+        return PhotonStore(self.id(), self.photon_count, self.weighs_photons, scene.media.scatter)
+
+    def looks_in_box(self, scene: Scene) -> bool:
+        """True if maps need the box about most of the photons in media, `PhotonMap.box`."""
+        return False
+
     def looking_at(self: Self, photons: PhotonMap) -> Self:
         """A copy of this integrator for the pass of a map, which may be empty yet."""
         integrator = copy.copy(self)
         integrator.photons = photons
         return integrator
+
+    def take(self, store: PhotonStore, count: int) -> None:
+        """Take over the `count` photons of a store into the map of the current pass."""
+        assert self.photons is not None
+        self.photons.fill(store, count)
 
     def leave(self, scene: Scene, sampler: SampleStream) -> Any:
         """The state of a light path that leaves an emitter: any PyTree."""

@@ -203,6 +203,7 @@ ELSEWHERE: dict[str, str] = {
     "prb": "`path` with other defaults",
     "direct_projective": "`direct`, with gradients with respect to moving shapes",
     "prb_projective": "`path`, with gradients with respect to moving shapes",
+    "upbp": "`vcm`, with media in which rays gather photons and beams of light",
     "volpath": "`path`, with media that scatter light",
     "volpathmis": "`volpath`, with weights for media of several colours",
     "prbvolpath": "`volpath` with other defaults",

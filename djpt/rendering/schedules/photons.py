@@ -13,6 +13,7 @@ import numpy as np
 from djpt.core.records import BSDFContext, Ray3f
 from djpt.films.footprint import Splats
 from djpt.integrators.photons import PhotonMap, PhotonStore
+from djpt.integrators.photons.cells import Box
 from djpt.integrators.photons.photon_mapping import PhotonMapping, scatters
 from djpt.jit.kernels import loop_traced_once, wide
 from djpt.jit.llvm.lanes import small_blocks
@@ -163,6 +164,12 @@ APART = 0x9E3779B9
 FIRST_PATHS = 2**15
 """The light paths, at most, whose photons are counted for the first radius."""
 
+OUTSIDE = 0.005
+"""The fraction of photons in media that may lie below the box about them along an axis, and above."""
+
+MARGIN = 2.0
+"""What is added to the box on all sides, in relation to the radius."""
+
 LARGEST_SIDE = 0.01
 """The first radius in relation to the longest side of the box about the scene, if the sensor sees no surface."""
 
@@ -183,6 +190,7 @@ class PhotonSamples(SplattedSamples):
         super().__init__(splats)
         self._store: PhotonStore | None = None
         self._first = 0.0
+        self._box: Box | None = None
         self._number = -1
         self._looking: PhotonMapping | None = None
 
@@ -212,15 +220,12 @@ class PhotonSamples(SplattedSamples):
         if number != self._number or self._looking is None:
             if self._store is None:
                 assert isinstance(job.integrator, PhotonMapping)
-                self._store = PhotonStore(
-                    job.integrator.id(),
-                    job.integrator.photon_count,
-                    job.integrator.weighs_photons,
-                    job.scene.media.scatter,
-                )
-                self._first = first_radius(job, self._store)
+                self._store = job.integrator.store(job.scene)
+                self._first, self._box = first_radius(job, self._store), None
+                if job.integrator.looks_in_box(job.scene):
+                    self._box = box_of_photons(job, self._store, self._first)
             self._looking = None  # its map's memory is that of the next one
-            self._looking = trace(job, self._store, self._first, number)
+            self._looking = trace(job, self._store, self._first, self._box, number)
             self._number = number
         return self._looking
 
@@ -289,15 +294,30 @@ def first_radius(job: Job, store: PhotonStore) -> float:
     return radius_of_crowd(seen, lambda photons: photons.fill(store, count), paths, wanted)
 
 
-def trace(job: Job, store: PhotonStore, first: float, number: int) -> PhotonMapping:
+def box_of_photons(job: Job, store: PhotonStore, radius: float) -> Box:
+    """A box that holds most of the photons in media, whatever the seed is: along each axis all but a few."""
+    scene, integrator = job.scene, job.integrator
+    assert isinstance(integrator, PhotonMapping)
+    paths = min(integrator.photon_count, FIRST_PATHS)
+    looking = integrator.looking_at(PhotonMap(radius, integrator.photon_count, scene.lights.brightness))
+    count = walk(scene, looking, store, paths, sample_tea_32(dr.opaque(UInt32, APART), UInt32(0))[0])
+    places = store.places_in_media(count)
+    if not len(places):
+        return Box.of(np.zeros(3), np.zeros(3))
+    low, high = np.quantile(places, (OUTSIDE, 1 - OUTSIDE), axis=0)
+    # Where light ends at the same place as the box, blurring across its sides would be one-sided.
+    return Box.of(low - MARGIN * radius, high + MARGIN * radius)
+
+
+def trace(job: Job, store: PhotonStore, first: float, box: Box | None, number: int) -> PhotonMapping:
     """The integrator with the map of the pass `number`; `first` is the radius of the first pass."""
     scene, integrator = job.scene, job.integrator
     assert isinstance(integrator, PhotonMapping)
     paths = integrator.photon_count
-    photons = PhotonMap(integrator.radius(first, number), paths, scene.lights.brightness)
+    photons = PhotonMap(integrator.radius(first, number), paths, scene.lights.brightness, box)
     looking = integrator.looking_at(photons)
     seed, _ = sample_tea_32(job.seed_value, dr.opaque(UInt32, (number + APART) & 0xFFFFFFFF))
-    photons.fill(store, walk(scene, looking, store, paths, seed))
+    looking.take(store, walk(scene, looking, store, paths, seed))
     return looking
 
 

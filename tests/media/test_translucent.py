@@ -1,0 +1,74 @@
+"""Media by the name of a material, and by the colour of a body."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import djpt
+from djpt.errors import SceneError
+from djpt.media.translucent import albedo_of_color
+from tests.kit.media_scenes import colour
+
+
+def values(**keys: Any) -> tuple[np.ndarray, np.ndarray]:
+    """sigma_t and albedo of a medium."""
+    medium = djpt.load_dict({"type": "homogeneous", **keys})
+    return tuple(np.array(v.eval(None)).ravel() for v in (medium.sigma_t, medium.albedo))  # type: ignore[return-value]
+
+
+def test_material() -> None:
+    sigma_t, albedo = values(material="marble")
+    np.testing.assert_allclose(sigma_t * albedo, [2.19, 2.62, 3.0], rtol=1e-5)
+    np.testing.assert_allclose(sigma_t * (1 - albedo), [0.0021, 0.0041, 0.0071], rtol=2e-3)
+
+
+def test_color_and_radius() -> None:
+    sigma_t, albedo = values(color=colour(0.2, 0.5, 0.9), radius=colour(0.1, 0.2, 0.5))
+    np.testing.assert_allclose(sigma_t, [10, 5, 2], rtol=1e-5)
+    np.testing.assert_allclose(albedo, albedo_of_color([0.2, 0.5, 0.9]), rtol=1e-5)
+
+
+def reflectance(albedo: float) -> float:
+    """The fraction of light from all sides that a half space of evenly scattering matter sends back.
+
+    By Chandrasekhar's function H, the solution of H = 1 + albedo / 2 mu H(mu) integral of H(x) / (mu + x) dx.
+    """
+    x, weight = np.polynomial.legendre.leggauss(64)
+    mu, weight = (x + 1) / 2, weight / 2
+    h = np.ones_like(mu)
+    for _ in range(2000):
+        h = 1 / (np.sqrt(1 - albedo) + albedo / 2 * ((mu * h * weight)[None] / (mu[:, None] + mu[None])).sum(1))
+    return float(1 - 2 * np.sqrt(1 - albedo) * (h * mu * weight).sum())
+
+
+@pytest.mark.parametrize("color", [0.05, 0.2, 0.5, 0.8, 0.95])
+def test_body_has_the_color(color: float) -> None:
+    """The closed form of a half space with the albedo of a colour has that colour."""
+    assert reflectance(float(albedo_of_color(color))) == pytest.approx(color, abs=0.01)
+
+
+def test_forward_scattering_is_similar() -> None:
+    """(1 - g) albedo / (1 - g albedo) is the albedo of matter that scatters evenly and looks the same."""
+    g = 0.7
+    forward, even = albedo_of_color(0.6, g), albedo_of_color(0.6)
+    assert (1 - g) * forward / (1 - g * forward) == pytest.approx(float(even))
+
+
+@pytest.mark.parametrize(
+    ("keys", "problem"),
+    [
+        ({"material": "whole_mlik"}, "did you mean 'whole_milk'"),
+        ({"material": "cream", "albedo": 0.5}, "and 'albedo' set the same property"),
+        ({"color": 0.5, "sigma_t": 2.0}, "and 'sigma_t' set the same property"),
+        ({"color": 1.5}, "color"),
+        ({"color": 0.5, "radius": 0.0}, "must be positive"),
+        ({"radius": 1.0}, "belongs to a 'color'"),
+    ],
+    ids=str,
+)
+def test_what_is_refused(keys: dict[str, Any], problem: str) -> None:
+    with pytest.raises(SceneError, match=problem):
+        values(**keys)
