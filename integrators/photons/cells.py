@@ -224,8 +224,8 @@ class Cells:
         def pick(values: Any) -> Any:
             return dr.select(number == 0, values[0], dr.select(number == 1, values[1], values[2]))
 
-        floats = (of.o, of.d, self.box.low, self._widths, self._inverse)
-        return Axis(*(pick(v) for v in floats), pick(self._last), pick(self._strides))
+        o, d, low, width, inverse = (pick(v) for v in (of.o, of.d, self.box.low, self._widths, self._inverse))
+        return Axis(o, d, low, width, inverse, pick(self._last), pick(self._strides))
 
     # ---- rays --------------------------------------------------------------------------
 
