@@ -6,7 +6,7 @@ import pytest
 
 pytest.importorskip("xdist")
 
-from tests.kit.scheduling import FileScheduling  # noqa: E402
+from tests.kit.scheduling import FileScheduling
 
 TESTS = [f"{file}.py::test_{k}" for file, count in (("a", 3), ("b", 3), ("c", 1), ("d", 2)) for k in range(count)]
 
