@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 from collections import Counter
@@ -13,7 +14,7 @@ import pytest
 
 pytest.register_assert_rewrite("tests.kit")
 
-from tests.kit.quick_kernels import keep_apart, skip_passes, without_notes  # noqa: E402
+from tests.kit.quick_kernels import gather_at_once, keep_apart, skip_passes, without_notes  # noqa: E402
 
 keep_apart()
 
@@ -26,6 +27,7 @@ from tests.kit.threads import threads  # noqa: E402
 
 skip_passes()
 lanes_from_environment()
+gather_at_once()
 
 # Processes that run tests side by side (`pytest -n`) share the processors: threads in excess of them take time from the
 # others, since they watch for work between kernels.
@@ -68,6 +70,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     if "PYTEST_XDIST_WORKER_COUNT" in os.environ:
         ranks = {TESTS / f"{name}.py": rank for rank, name in enumerate(LONGEST)}
         items.sort(key=lambda item: ranks.get(item.path, len(ranks)))
+
+
+def pytest_collection_finish() -> None:
+    """Let the garbage collector pass over what stays to the end: modules, and thousands of tests."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.hookimpl(optionalhook=True)
