@@ -125,6 +125,7 @@ def test_a_lamp_is_found_by_its_shadow() -> None:
     assert np.linalg.norm(found - lamp.TRUTH) < 0.03
 
 
+@pytest.mark.slow
 def test_a_glass_ball_is_found_by_its_caustic() -> None:
     caustic = load_example("caustic")
     scene = caustic.load(24)

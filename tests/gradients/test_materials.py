@@ -263,5 +263,7 @@ def test_schedules_agree(name: str) -> None:
     ],
 )
 def test_wrong_derivatives_of_an_image_fail(name: str, key: str, factor: float) -> None:
-    """The test's power."""
-    assert not ImageSlopes(name).check(key, {}, factor)[0]
+    """The test's power, of fewer images than it may judge by."""
+    slopes = ImageSlopes(name)
+    slopes.seeds = (8, 12)
+    assert not slopes.check(key, {}, factor)[0]
