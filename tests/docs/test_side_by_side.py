@@ -33,8 +33,8 @@ class Process:
 
 @pytest.fixture
 def scheduling(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> FileScheduling:
-    monkeypatch.setattr(request.config.option, "tx", ["popen", "popen"])
-    monkeypatch.setattr(request.config.option, "loadscopereorder", False)
+    monkeypatch.setattr(request.config.option, "tx", ["popen", "popen"], raising=False)
+    monkeypatch.setattr(request.config.option, "loadscopereorder", False, raising=False)
     return FileScheduling(request.config)
 
 
