@@ -368,48 +368,6 @@ def normals() -> Problem:
     )
 
 
-VIEW = np.array([0.25, -0.15, 0.2, 0.06, -0.08, 0.1], np.float32)
-
-
-def looked_at(size: int) -> dict[str, Any]:
-    """A ball and a box on a floor, for a camera that moves."""
-    scene = ball_on_floor(size)
-    scene["ball"]["to_world"] = T().translate([0.5, 0, 0.4])
-    red = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.7, 0.2, 0.1]}}
-    scene["box"] = {"type": "cube", "to_world": T().translate([-0.6, 0.3, 0.3]).scale(0.3), "bsdf": red}
-    return scene
-
-
-def apply_view(module: Any, params: Any, x: Any) -> None:
-    """Move the camera by three numbers, and turn it by three, in its own frame."""
-    a = [dr.gather(module.Float, x, module.UInt32(i)) for i in range(6)]
-    moved = module.Transform4f().look_at([0, -3, 2.5], [0, 0, 0.3], [0, 0, 1]).translate(a[:3])
-    for axis, angle in zip(np.eye(3).tolist(), a[3:], strict=True):
-        moved = moved.rotate(axis, angle * (180 / math.pi))
-    params["sensor.to_world"] = moved
-
-
-def view() -> Problem:
-    """The pose of a camera."""
-    return Problem(
-        "camera pose",
-        "The place and the turn of a camera, six numbers, before a ball and a box.",
-        looked_at,
-        VIEW,
-        np.zeros_like(VIEW),
-        apply_view,
-        "Float",
-        (0.003, 0.01, 0.03),
-        (-1.0, 1.0),
-        "least_squares",
-        spp=16,
-        coarse=1,
-        differences=0.05,
-        iterations=16,
-        steps=80,
-    )
-
-
 SHEEN = np.array([0.8, 0.45, 0.2, 0.3, 0.7], np.float32)
 
 
@@ -448,57 +406,6 @@ def material() -> Problem:
     )
 
 
-SMOKE = np.random.default_rng(3).uniform(0.2, 3.0, (4, 4, 4, 1)).astype(np.float32)
-DENSITY = "body.interior_medium.sigma_t.data"
-
-
-def smoke(size: int) -> dict[str, Any]:
-    """A cube of smoke before a bright sky with a lamp, seen from four sides."""
-    grid = {"type": "gridvolume", "grid": SMOKE, "to_world": T().translate([-1, -1, -1]).scale(2)}
-    medium = {"type": "heterogeneous", "albedo": 0.6, "sigma_t": grid, "scale": 1.0}
-    views = {
-        f"view{k}": {
-            "type": "perspective",
-            "fov": 40,
-            "to_world": T().look_at([4.2 * math.cos(a), 4.2 * math.sin(a), 1.5 - k], [0, 0, 0], [0, 0, 1]),
-        }
-        for k, a in enumerate(np.linspace(0.3, 0.3 + 1.5 * math.pi, 4))
-    }
-    wide = {**film(size), "width": 4 * size}
-    return {
-        "type": "scene",
-        "integrator": {"type": "prbvolpath", "max_depth": 4, "rr_depth": 10},
-        "sensor": {"type": "batch", "film": wide, **views},
-        "body": {"type": "cube", "bsdf": {"type": "null"}, "interior": medium},
-        "sky": {"type": "constant", "radiance": 0.5},
-        "light": {"type": "point", "position": [2, -2, 3], "intensity": 30.0},
-    }
-
-
-def apply_smoke(module: Any, params: Any, x: Any) -> None:
-    """The density of the smoke."""
-    params[DENSITY] = x
-
-
-def volume() -> Problem:
-    """The density of a volume."""
-    return Problem(
-        "volume density",
-        "4 x 4 x 4 densities of a cube of smoke, from four sides. Light is scattered up to three times.",
-        smoke,
-        SMOKE,
-        np.full_like(SMOKE, 1.0),
-        apply_smoke,
-        "TensorXf",
-        (0.05, 0.1, 0.2),
-        (0.01, 10.0),
-        "least_squares",
-        spp=16,
-        size=24,
-        iterations=20,
-    )
-
-
 PROBLEMS: dict[str, Callable[[], Problem]] = {
     "paints": paints,
     "texture": texture,
@@ -506,9 +413,7 @@ PROBLEMS: dict[str, Callable[[], Problem]] = {
     "pose": pose,
     "roughness": roughness,
     "normals": normals,
-    "view": view,
     "material": material,
-    "volume": volume,
 }
 
 
