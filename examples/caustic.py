@@ -53,7 +53,7 @@ def load(size: int) -> djpt.Scene:
     size += 2
     # The weights of a tent add up to 1 wherever light arrives, which so moves from pixel to pixel without a loss.
     film = {"type": "hdrfilm", "width": size, "height": size, "pixel_format": "rgb", "rfilter": {"type": "tent"}}
-    place = T().look_at([2.2, -0.6, 2.2], [0.2, 0, 0], [0, 1, 0])
+    place = T().look_at([2.2, -0.6, 2.2], [0.4, 0, 0], [0, 1, 0])
     return djpt.load_dict(
         {
             "type": "scene",

@@ -14,7 +14,7 @@ from djpt.images.sheets import Tile, captioned_sheet, shown
 from djpt.validation.report import difference_picture
 from places import IMAGES, LADDER, ROOT
 
-__all__ = ["albedo", "derivatives", "lamp", "pose", "smoke"]
+__all__ = ["albedo", "caustic", "derivatives", "lamp", "pose", "smoke"]
 
 
 def albedo() -> None:
@@ -39,6 +39,12 @@ def lamp() -> None:
     """What the example of a lamp's shadow writes."""
     with patch.object(sys, "argv", ["lamp.py", "--out", str(IMAGES / "lamp.png")]):
         runpy.run_path(str(ROOT / "examples" / "lamp.py"), run_name="__main__")
+
+
+def caustic() -> None:
+    """What the example of a glass ball writes."""
+    with patch.object(sys, "argv", ["caustic.py", "--steps", "60", "--out", str(IMAGES / "caustic.png")]):
+        runpy.run_path(str(ROOT / "examples" / "caustic.py"), run_name="__main__")
 
 
 def derivatives() -> None:
