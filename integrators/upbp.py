@@ -104,7 +104,6 @@ class UnifiedPointsBeamsPaths(VertexConnectionMerging):
             raise RenderError(
                 f"'{self.id()}' has no long beams in media that vary, found '{medium.id()}'; "
                 "possible: 'long_beams' false"
-                "possible: 'long_beams' false"
             )
 
     # ---- passes ------------------------------------------------------------------------
@@ -190,7 +189,7 @@ class UnifiedPointsBeamsPaths(VertexConnectionMerging):
         if self._balls is None and self._capsules is None:
             return None
         assert incoming.ray.medium is not None
-        length = reached.length if self.long_beams else dr.minimum(reached.vertex.si.t, reached.length)
+        length = self.beam_length(reached)
         inside = active & scene.media.fill(incoming.ray.medium)
         edges = dr.select(incoming.depth < self.joined, self.joined - incoming.depth, 0)
         found = Color3f(0)
@@ -199,6 +198,10 @@ class UnifiedPointsBeamsPaths(VertexConnectionMerging):
         if self._capsules is not None:
             found = found + self.beams_along(scene, incoming, length, edges, inside)
         return incoming.throughput * found
+
+    def beam_length(self, reached: NextVertex) -> Float:
+        """The length of the beam that an edge of a path is."""
+        return reached.length if self.long_beams else dr.minimum(reached.vertex.si.t, reached.length)
 
     def left(self, scene: Scene, ray: Ray3f, t: Float, throughput: Color3f, active: Bool) -> Color3f:
         """The transmittance of a beam up to a distance, over the probability that it reaches so far."""
@@ -230,7 +233,7 @@ class UnifiedPointsBeamsPaths(VertexConnectionMerging):
             by_light = photon.vcm + photon.vc * self.h(pdf)
             _, sigma_t = scattering_at(scene, medium, photon.p, there)
             beside = self.point_merging(sigma_t) + self.beam_pair_merging(photon.p, sigma_t)
-            others = by_light + self.by_camera(incoming, t, back) + beside
+            others = by_light + self.part(incoming, t, back) + beside
             weight = mis_weight(others * dr.rcp(self._merging))
             left = self.left(scene, ray, t, incoming.throughput, there)
             return photons.added(total, there, value * photon.flux * left * weight)
@@ -260,10 +263,9 @@ class UnifiedPointsBeamsPaths(VertexConnectionMerging):
             p = ray(crossing.t)
             value, pdf, back = phase_evaluated(scene, medium, p, -ray.d, -beam.d, there)
             sigma_s, sigma_t = scattering_at(scene, medium, p, there)
-            spread = dr.select(beam.before < dr.inf, self.h(dr.square(crossing.s + beam.before)), 1)
-            by_light = beam.vcm * spread + beam.vc * self.h(pdf)
+            by_light = self.part(beam, crossing.s, pdf)
             beside = self.point_merging(sigma_t) + self.camera_beam_merging(p)
-            others = by_light + self.by_camera(incoming, crossing.t, back) + beside
+            others = by_light + self.part(incoming, crossing.t, back) + beside
             weight = mis_weight(others * dr.rcp(self.beam_pair_merging(p, sigma_t)))
             left = self.left(scene, ray, crossing.t, incoming.throughput, there)
             arrives = self.left(scene, Ray3f(beam.o, beam.d, medium=medium), crossing.s, beam.flux, there)
@@ -273,10 +275,10 @@ class UnifiedPointsBeamsPaths(VertexConnectionMerging):
 
         return photons.color(cells.meet(ray, length, inside, meets, add, photons.zero(lanes)))
 
-    def by_camera(self, incoming: Subpath, t: Float, back: Float) -> Float:
-        """The camera's part of a weight, if its path had arrived at the distance `t`."""
-        spread = dr.select(incoming.before < dr.inf, self.h(dr.square(t + incoming.before)), 1)
-        return incoming.vcm * spread + incoming.vc * self.h(back)
+    def part(self, path: Subpath | Beam, t: Float, pdf: Float) -> Float:
+        """A path's part of a weight, if it had arrived at the distance `t` and went on with a density."""
+        spread = dr.select(path.before < dr.inf, self.h(dr.square(t + path.before)), 1)
+        return path.vcm * spread + path.vc * self.h(pdf)
 
     # ---- photons -----------------------------------------------------------------------
 
@@ -292,7 +294,7 @@ class UnifiedPointsBeamsPaths(VertexConnectionMerging):
         subpath, ray = path.subpath, path.subpath.ray
         assert ray.medium is not None
         flux = subpath.throughput * path.power
-        length = reached.length if self.long_beams else dr.minimum(reached.vertex.si.t, reached.length)
+        length = self.beam_length(reached)
         edges = Float(subpath.depth)
         beam = Beam(ray.o, ray.d, length, edges, ray.medium, flux, subpath.vcm, subpath.vc, subpath.before)
         there = scene.media.fill(ray.medium) & (subpath.depth < self.joined) & (dr.max(flux) > 0)
