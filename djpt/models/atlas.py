@@ -16,9 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.images.srgb import decoded
 from djpt.models.model import Matrix, Model, Part
-from djpt.models.textures import encoded_bytes
+from djpt.models.textures import encoded_bytes, values_of_bytes
 from djpt.shapes.meshes.data import MeshData, unit
 
 __all__ = ["resolve_coordinates"]
@@ -118,8 +117,7 @@ def linear(bitmap: dict[str, Any]) -> NDArray[np.float32]:
     pixels: NDArray[Any] = bitmap["bitmap"] if "bitmap" in bitmap else bitmap["data"]
     if pixels.dtype != np.uint8:
         return pixels.astype(np.float32)
-    table = np.arange(256) / 255
-    return (table if bitmap["raw"] else decoded(table)).astype(np.float32)[pixels]
+    return values_of_bytes(bitmap["raw"]).astype(np.float32)[pixels]
 
 
 def stored(values: NDArray[Any], bitmap: dict[str, Any]) -> dict[str, Any]:

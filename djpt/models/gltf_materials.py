@@ -12,16 +12,12 @@ from numpy.typing import NDArray
 from djpt.models.gltf_file import GltfFile, numbers, scalar
 from djpt.models.gltf_textures import Textures
 from djpt.models.model import Matrix, Model, Part
+from djpt.models.normal_maps import halves, normals_of
+from djpt.models.principled import COAT, SMALLEST_ETA, eta_of, gloss_of
 from djpt.models.textures import LINEAR, Lookup, encoded_bytes
 from djpt.shapes.meshes.data import MeshData
 
 __all__ = ["Materials"]
-
-COAT = 0.1
-"""The largest alpha of the coat of `principled`."""
-SMALLEST_ETA = 1.01
-"""An interface that reflects nothing would be none, for metals as well."""
-
 
 Vertices = dict[str, NDArray[np.float32]]
 """Values of vertices, (V, C), by name."""
@@ -96,17 +92,17 @@ class Materials:
             if colors[:, 3].min() < 1 and material.get("alphaMode") == "BLEND":
                 tints["vertex_opacity"] = np.ascontiguousarray(colors[:, 3:])
             paint = Paint(opacity=opacity, names=tuple(tints))
-        result = []
-        for half, sets, colored, mirrored in self._halves(material, mesh, coordinates, tints):
-            name = "material_" + ("default" if number is None else str(number))
-            name = self._named(name, (number, mirrored, paint), lambda m=mirrored: self._node(material, m, paint))
-            part = Part(str(material.get("name") or where)[:100], half, name, [], self._emission(material, paint))
-            part.coordinates, part.tints = sets, colored
-            part.one_sided = material.get("doubleSided") is not True
-            if self.file.extension(material, "KHR_materials_volume"):
-                part.interior = self._interior(material, number)
-            result.append(part)
-        return result
+        part = Part(str(material.get("name") or where)[:100], mesh, "", [], self._emission(material, paint))
+        part.coordinates, part.tints = coordinates, tints
+        part.one_sided = material.get("doubleSided") is not True
+        if self.file.extension(material, "KHR_materials_volume"):
+            part.interior = self._interior(material, number)
+        normal = material.get("normalTexture")
+        found = halves(part, self.textures.uv_set(normal) if isinstance(normal, dict) else None)
+        name = "material_" + ("default" if number is None else str(number))
+        for half, mirrored in found:
+            half.bsdf = self._named(name, (number, mirrored, paint), lambda m=mirrored: self._node(material, m, paint))
+        return [half for half, _ in found]
 
     def _named(self, name: str, key: Any, make: Any) -> str:
         """The name of a node that is made once for each key."""
@@ -119,29 +115,6 @@ class Materials:
             self._made[key] = free
         found: str = self._made[key]
         return found
-
-    def _halves(
-        self, material: dict[str, Any], mesh: MeshData, coordinates: Vertices, tints: Vertices
-    ) -> list[tuple[MeshData, Vertices, Vertices, bool]]:
-        """The triangles whose texture isn't mirrored, and those whose is: normal maps tell left from right."""
-        normal = material.get("normalTexture")
-        uv = coordinates.get(self.textures.uv_set(normal)) if isinstance(normal, dict) else None
-        if uv is None:
-            return [(mesh, coordinates, tints, False)]
-        a, b, c = (uv[mesh.indices[:, i]] for i in range(3))
-        u, v = b - a, c - a
-        mirrored = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0] > 0  # v points down in images
-        share = float(mirrored.mean())
-        if share in (0.0, 1.0):
-            return [(mesh, coordinates, tints, share == 1)]
-        halves = []
-        for side in (False, True):
-            used, indices = np.unique(mesh.indices[mirrored == side], return_inverse=True)
-            own = MeshData(mesh.positions[used], indices.reshape(-1, 3).astype(np.uint32))
-            own.normals = None if mesh.normals is None else mesh.normals[used]
-            of_vertices = [{name: values[used] for name, values in found.items()} for found in (coordinates, tints)]
-            halves.append((own, of_vertices[0], of_vertices[1], side))
-        return halves
 
     # ---- nodes -----------------------------------------------------------------------------
 
@@ -178,10 +151,7 @@ class Materials:
             return paint.on(self.textures.channel(info, 3, factor), "vertex_opacity")
         if pixels is None:
             return float(factor >= cutoff)
-        values = np.where(pixels[..., 3:] * (factor / 255) >= cutoff, 255, 0).astype(np.uint8)
-        if values.min() == values.max():
-            return float(values.flat[0] / 255)
-        return self.textures.node(info, values, ("mask", cutoff, factor), raw=True)
+        return self.textures.bitmaps.cutout(info["index"], pixels, 3, factor, cutoff, self.textures.lookup(info))
 
     def _lobes(self, material: dict[str, Any], paint: Paint) -> tuple[dict[str, Any], bool]:
         """The principled BSDF, and whether it lets light through."""
@@ -230,12 +200,12 @@ class Materials:
         return {key: value for key, value in node.items() if key in KEEP or value != 0.0}, transmits
 
     def _coat_gloss(self, clearcoat: dict[str, Any]) -> Any:
-        """The gloss of a clear coat, of which `principled` makes alpha = 0.1 + gloss (0.001 - 0.1)."""
+        """The gloss of a clear coat: a number or a texture."""
         factor = float(np.clip(scalar(clearcoat.get("clearcoatRoughnessFactor"), 0.0), 0, 1))
         info: Any = clearcoat.get("clearcoatRoughnessTexture")
         pixels = self.textures.pixels(info)
         rough = np.array([[[factor]]]) if pixels is None else pixels[..., 1:2] * (factor / 255)
-        gloss = np.clip((COAT - rough**2) / (COAT - 0.001), 0, 1)
+        gloss = gloss_of(rough)
         if gloss.min() == gloss.max():
             return float(gloss.flat[0])
         return self.textures.node(info, np.rint(255 * gloss).astype(np.uint8), ("coat", factor), raw=True)
@@ -276,9 +246,7 @@ class Materials:
             self.model.say("the colour of a dielectric's reflection is replaced by its mean")
         if transmits:  # the index bends light, too
             return max(eta, SMALLEST_ETA)
-        reflectance = min(((eta - 1) / (eta + 1)) ** 2 * strength * float(color.mean()), 0.9)
-        root = math.sqrt(reflectance)
-        return max((1 + root) / (1 - root), SMALLEST_ETA)
+        return eta_of(((eta - 1) / (eta + 1)) ** 2 * strength * float(color.mean()))
 
     def _glossy(self, gloss: dict[str, Any], paint: Paint) -> dict[str, Any]:
         """The material of KHR_materials_pbrSpecularGlossiness, as a metallic-roughness one texel by texel."""
@@ -394,15 +362,3 @@ def stretched(pixels: NDArray[np.uint8], height: int, width: int) -> NDArray[np.
     """Matrix as an image of another size, each texel kept."""
     rows, columns = np.arange(height) * pixels.shape[0] // height, np.arange(width) * pixels.shape[1] // width
     return pixels[rows[:, None], columns]
-
-
-def normals_of(pixels: NDArray[np.uint8], strength: float, mirrored: bool) -> NDArray[np.uint8]:
-    """The pixels of a normal map, stronger or weaker, and turned over for triangles with a mirrored texture."""
-    result = np.ascontiguousarray(pixels[..., :3])
-    if strength != 1:
-        xy = np.clip((result[..., :2] / 127.5 - 1) * strength, -1, 1)
-        result[..., :2] = np.rint((xy + 1) * 127.5)
-    if mirrored:
-        result = result.copy()
-        result[..., 1] = 255 - result[..., 1]
-    return result

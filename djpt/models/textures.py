@@ -12,7 +12,7 @@ from djpt.core.transforms import ScalarTransform4f
 from djpt.images.srgb import decoded, encoded
 from djpt.models.model import Matrix, Model
 
-__all__ = ["Bitmaps", "Lookup", "encoded_bytes"]
+__all__ = ["Bitmaps", "Lookup", "encoded_bytes", "values_of_bytes"]
 
 PERIODS = 3
 """How often a texture is repeated along one axis if it is clamped along the other."""
@@ -83,22 +83,39 @@ class Bitmaps:
             values = np.clip(np.rint(values * factor), 0, 255).astype(np.uint8)
         return self.node((key, channel, factor), np.ascontiguousarray(values), lookup, raw=True)
 
-    def color(self, key: Any, pixels: NDArray[np.uint8], factor: Matrix, lookup: Lookup) -> dict[str, Any]:
-        """A texture of colours of sRGB, times linear factors, (3,), in [0, 1]."""
-        if (factor == 1).all():
-            return self.node(key, np.ascontiguousarray(pixels[..., :3]), lookup, raw=False)
-        # A table of 256 colours for each channel: most exact, and fast.
-        table = encoded_bytes(LINEAR[:, None] * factor)
-        values = np.stack([table[pixels[..., i], i] for i in range(3)], axis=-1)
-        return self.node((key, tuple(factor)), values, lookup, raw=False)
+    def cutout(
+        self, key: Any, pixels: NDArray[np.uint8], channel: int, factor: float, cutoff: float, lookup: Lookup
+    ) -> Any:
+        """A texture of 1 where a channel times a factor reaches `cutoff`, else of 0; a number where it is the same."""
+        values = np.where(pixels[..., channel : channel + 1] * (factor / 255) >= cutoff, 255, 0).astype(np.uint8)
+        return self.channel((key, "cutout", cutoff, channel, factor), values, 0, 1.0, lookup)
 
-    def light(self, key: Any, pixels: NDArray[np.uint8], factor: Matrix, lookup: Lookup) -> dict[str, Any]:
-        """A texture of radiances: colours of sRGB times linear factors, (3,), of any size."""
-        key = ("light", key, tuple(factor))
+    def color(
+        self, key: Any, pixels: NDArray[np.uint8], factor: Matrix, lookup: Lookup, *, raw: bool = False
+    ) -> dict[str, Any]:
+        """A texture of colours, of sRGB or `raw`, times linear factors, (3,); clipped to [0, 1]."""
+        if (factor == 1).all():
+            return self.node(key, np.ascontiguousarray(pixels[..., :3]), lookup, raw=raw)
+        # A table of 256 colours for each channel: most exact, and fast.
+        colors = values_of_bytes(raw)[:, None] * factor
+        table = np.rint(np.clip(colors, 0, 1) * 255).astype(np.uint8) if raw else encoded_bytes(colors)
+        values = np.stack([table[pixels[..., i], i] for i in range(3)], axis=-1)
+        return self.node((key, tuple(factor), raw), values, lookup, raw=raw)
+
+    def light(
+        self, key: Any, pixels: NDArray[np.uint8], factor: Matrix, lookup: Lookup, *, raw: bool = False
+    ) -> dict[str, Any]:
+        """A texture of radiances: colours of sRGB, or `raw`, times linear factors, (3,), of any size."""
+        key = ("light", key, tuple(factor), raw)
         if key not in self._pixels:
-            table = (LINEAR[:, None] * factor).astype(np.float32)
+            table = (values_of_bytes(raw)[:, None] * factor).astype(np.float32)
             self._pixels[key] = np.stack([table[pixels[..., i], i] for i in range(3)], axis=-1)
         return self.node(key, self._pixels[key], lookup, raw=True)
+
+
+def values_of_bytes(raw: bool) -> Matrix:
+    """The linear values of bytes, (256,), of sRGB or as numbers."""
+    return np.arange(256) / 255 if raw else LINEAR
 
 
 def encoded_bytes(values: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:

@@ -9,28 +9,44 @@ import io
 import math
 import os
 import zipfile
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.core.transforms import ScalarTransform4f
 from djpt.errors import FileError, SceneError
-from djpt.images.srgb import decoded
 from djpt.models.folder import LARGEST_FILE, Folder
 from djpt.models.images import decoded_image
-from djpt.models.model import Model
+from djpt.models.model import Matrix, Model
+from djpt.models.normal_maps import normals_of
+from djpt.models.principled import eta_of, gloss_of
+from djpt.models.textures import LINEAR, Bitmaps, Lookup
 
-__all__ = ["Materials"]
+__all__ = ["Materials", "Surface", "displayed"]
 
 WRAP = {"clamp": "clamp", "mirror": "mirror", "repeat": "repeat", "black": "clamp", "useMetadata": "repeat"}
 CHANNELS = {"r": 0, "g": 1, "b": 2, "a": 3}
 GREY = 0.18
-"""The diffuse colour of a surface without a material."""
-COAT = 0.1
-"""The largest alpha of the coat of `principled`."""
+"""The diffuse colour of a surface that has none."""
 MOST_STEPS = 32
 """The longest chain of shaders that is followed."""
+
+
+@dataclass(frozen=True)
+class Surface:
+    """What a mesh has to know of its material."""
+
+    name: str
+    """That of its node."""
+    uv_sets: tuple[str, ...] = ("st",)
+    """The primvars of the texture coordinates that it uses."""
+    normal_set: str | None = None
+    """The one of its normal map, or None."""
+    emission: dict[str, Any] | None = None
+    """The light that it emits, or None."""
+    tinted: bool = False
+    """Whether it has the colours of the mesh's points."""
 
 
 class Materials:
@@ -40,43 +56,36 @@ class Materials:
         folder: where textures may be.
         model: what is made of the stage; its `nodes` get the materials.
         largest: textures with more rows or columns are made smaller.
-        path: the file of the stage.
     """
 
-    def __init__(self, folder: Folder, model: Model, largest: int, path: str) -> None:
-        self.folder, self.model, self.largest, self.path = folder, model, largest, path
-        self._made: dict[Any, tuple[str, str, dict[str, Any] | None]] = {}
+    def __init__(self, folder: Folder, model: Model, largest: int) -> None:
+        self.folder, self.model, self.largest = folder, model, largest
+        self.bitmaps = Bitmaps(model)
+        self._made: dict[Any, Surface] = {}
         self._images: dict[str, NDArray[np.uint8] | None] = {}
-        self._pixels: dict[Any, NDArray[Any]] = {}
-        """Pixels of textures by all that they depend on, which equal nodes share."""
 
-    def made(self, material: Any, display_color: Any) -> tuple[str, str, dict[str, Any] | None]:
-        """The name of a material's node, that of the texture coordinates it uses, and the light that it emits.
+    def made(self, material: Any, plain: dict[str, Any], mirrored: bool = False) -> Surface:
+        """The surface of a material, whose node is made once.
 
         Args:
             material: a `UsdShade.Material`, or an invalid one.
-            display_color: colours of a mesh without a material; their mean is used.
+            plain: the colour of meshes without a material.
+            mirrored: whether it is for triangles with a mirrored texture.
         """
-        color = None
-        if not material and display_color is not None and len(display_color):
-            mean = np.nan_to_num(np.asarray(display_color, np.float64).reshape(-1, 3).mean(axis=0))
-            color = tuple(np.clip(mean, 0, 1))
-            if len(np.unique(np.asarray(display_color), axis=0)) > 1:
-                self.model.say("display colours of points are replaced by their mean")
-        key = str(material.GetPath()) if material else color
+        shader = material.ComputeSurfaceSource()[0] if material else None
+        if material and (not shader or shader.GetShaderId() != "UsdPreviewSurface"):
+            what = shader.GetShaderId() if shader else None
+            self.model.say(f"materials of the kind '{what or 'none'}' are plain: only UsdPreviewSurface is read")
+            shader = None
+        tint = plain.get("tint")
+        key: Any = (str(material.GetPath()), mirrored) if shader else (tint, *plain["value"])
         if key not in self._made:
             name = f"material_{len(self._made)}"
-            shader = material.ComputeSurfaceSource()[0] if material else None
-            if material and (not shader or shader.GetShaderId() != "UsdPreviewSurface"):
-                what = shader.GetShaderId() if shader else None
-                self.model.say(f"materials of the kind '{what or 'none'}' are grey: only UsdPreviewSurface is read")
-                shader = None
             if shader:
-                self._made[key] = (name, *self._surface(name, shader))
+                self._made[key] = self._surface(name, shader, mirrored)
             else:
-                rgb = {"type": "rgb", "value": [GREY] * 3 if color is None else [float(x) for x in color]}
-                self._add(name, {"type": "principled", "base_color": rgb})
-                self._made[key] = (name, "st", None)
+                self._add(name, {"type": "principled", "base_color": plain})
+                self._made[key] = Surface(name, tinted=tint is not None)
         return self._made[key]
 
     def _add(self, name: str, node: dict[str, Any]) -> None:
@@ -84,8 +93,8 @@ class Materials:
 
     # ---- surfaces --------------------------------------------------------------------------
 
-    def _surface(self, name: str, shader: Any) -> tuple[str, dict[str, Any] | None]:
-        """Add the node of a UsdPreviewSurface; the name of its texture coordinates, and its emission."""
+    def _surface(self, name: str, shader: Any, mirrored: bool) -> Surface:
+        """Add the node of a UsdPreviewSurface."""
         inputs = Inputs(self, shader)
         node: dict[str, Any] = {"type": "principled", "base_color": inputs.color("diffuseColor", (GREY,) * 3)}
         node["roughness"] = inputs.number("roughness", 0.5)
@@ -93,32 +102,30 @@ class Materials:
             specular = inputs.color("specularColor", (0.0,) * 3)
             mean = np.mean(specular["value"]) if specular["type"] == "rgb" else 0.04
             self.model.say("the specular workflow is replaced by an index of refraction of the same mean reflectance")
-            root = math.sqrt(min(float(mean), 0.9))
-            node["eta"] = max((1 + root) / (1 - root), 1.01)
+            node["eta"] = eta_of(float(mean))
         else:
             node["metallic"] = inputs.number("metallic", 0.0)
             node["eta"] = float(np.clip(inputs.plain("ior", 1.5) or 1.5, 1.01, 5.0))
         coat = inputs.number("clearcoat", 0.0)
         if coat != 0.0:
             rough = float(inputs.plain("clearcoatRoughness", 0.01))
-            node |= {"clearcoat": coat, "clearcoat_gloss": float(np.clip((COAT - rough**2) / (COAT - 0.001), 0, 1))}
+            node |= {"clearcoat": coat, "clearcoat_gloss": float(gloss_of(rough))}
         normal = inputs.texture("normal")
         if normal is not None:
-            node = {"type": "normalmap", "normalmap": normal, "bsdf": node}
+            down = normal.scale[1] < 0  # as programs for DirectX write them
+            turned = normals_of(normal.pixels, 1.0, mirrored != down)
+            bitmap = self.bitmaps.node((normal.key, mirrored), turned, normal.lookup, raw=True)
+            node = {"type": "normalmap", "normalmap": bitmap, "bsdf": node}
         if inputs.connected("displacement"):
             self.model.say("displacement is left out")
         self._add(name, node)
-        opacity = inputs.number("opacity", 1.0)
-        threshold = float(inputs.plain("opacityThreshold", 0.0) or 0.0)
-        if isinstance(opacity, float) and threshold > 0:
-            opacity = float(opacity >= threshold)
-        elif threshold > 0:
-            opacity = {**opacity, "bitmap": np.where(opacity["bitmap"] >= 255 * threshold, 255, 0).astype(np.uint8)}
+        opacity = inputs.number("opacity", 1.0, float(inputs.plain("opacityThreshold", 0.0) or 0.0))
         if opacity != 1.0:
             self.model.nodes[name] = {"type": "mask", "opacity": opacity, "bsdf": self.model.nodes[name]}
-        emission = inputs.color("emissiveColor", (0.0,) * 3, largest=1e6)
+        emission = inputs.color("emissiveColor", (0.0,) * 3, shines=True)
         dark = emission["type"] == "rgb" and not any(emission["value"])
-        return inputs.uv_name or "st", None if dark else emission
+        normal_set = None if normal is None else normal.lookup.uv_set
+        return Surface(name, tuple(inputs.uv_sets) or ("st",), normal_set, None if dark else emission)
 
     # ---- textures --------------------------------------------------------------------------
 
@@ -166,11 +173,34 @@ class Materials:
         pixels = self.image(asset)
         if pixels is None:
             return None
-        return {"bitmap": np.asarray(decoded(pixels[..., :3].astype(np.float32) / 255), np.float32)}
+        return {"bitmap": LINEAR.astype(np.float32)[pixels[..., :3]]}
 
-    def shared(self, key: Any, pixels: NDArray[Any]) -> NDArray[Any]:
-        """The first pixels of a key."""
-        return self._pixels.setdefault(key, pixels)
+
+@dataclass(frozen=True)
+class Texture:
+    """A UsdUVTexture."""
+
+    key: str
+    """Its file."""
+    pixels: NDArray[np.uint8]
+    """(H, W, 4)."""
+    lookup: Lookup
+    scale: Matrix
+    """Factors of its channels, (4,)."""
+    raw: bool
+    """Whether bytes are numbers, not colours of sRGB."""
+    output: str
+    """What is used of it: ``rgb`` or a channel."""
+
+
+def displayed(colors: NDArray[np.float32] | None) -> tuple[dict[str, Any], dict[str, NDArray[np.float32]]]:
+    """The colour of a mesh without a material by its display colours, (C, 3), and what it is multiplied by."""
+    if colors is None or not len(colors):
+        return {"type": "rgb", "value": [GREY] * 3}, {}
+    colors = np.clip(colors, 0, 1)
+    if (colors == colors[0]).all():
+        return {"type": "rgb", "value": colors[0].tolist()}, {}
+    return {"type": "rgb", "value": [1.0] * 3, "tint": "vertex_color"}, {"vertex_color": colors}
 
 
 class Inputs:
@@ -178,8 +208,8 @@ class Inputs:
 
     def __init__(self, materials: Materials, shader: Any) -> None:
         self.materials, self.shader = materials, shader
-        self.uv_name: str | None = None
-        """The primvar of the texture coordinates of its first texture."""
+        self.uv_sets: dict[str, None] = {}
+        """The primvars of the texture coordinates of its textures."""
 
     def connected(self, name: str) -> bool:
         """True if an input comes from another shader."""
@@ -214,65 +244,56 @@ class Inputs:
             found = source.GetOutput(output) if kind == UsdShade.AttributeType.Output else source.GetInput(output)
         return None, ""
 
-    def color(self, name: str, default: tuple[float, ...], largest: float = 1.0) -> dict[str, Any]:
-        """A colour: a texture, or linear numbers."""
-        texture, output = self._texture_of(name)
-        if texture is not None:
-            pixels, scale, raw = texture
-            values = pixels[..., :3] if output == "rgb" else pixels[..., [CHANNELS.get(output, 0)] * 3]
-            if (scale[:3] != 1).any():
-                linear = values / np.float32(255) if raw else decoded(values.astype(np.float32) / 255)
-                return self._node(name, np.asarray(linear * scale[:3], np.float32), raw=True)
-            return self._node(name, np.ascontiguousarray(values), raw=raw)
-        value = np.nan_to_num(np.array(self.plain(name, default), np.float64).ravel())
-        return {"type": "rgb", "value": np.clip(np.resize(value, 3), 0, largest).tolist()}
-
-    def number(self, name: str, default: float) -> Any:
-        """A number in [0, 1], or a texture of such."""
-        texture, output = self._texture_of(name)
+    def color(self, name: str, default: tuple[float, ...], shines: bool = False) -> dict[str, Any]:
+        """A colour, or a radiance if it `shines`: a texture, or linear numbers."""
+        texture = self.texture(name)
         if texture is None:
-            value = np.ravel(self.plain(name, default))
-            return float(np.clip(np.nan_to_num(value[0]), 0, 1))
-        pixels, scale, _ = texture
-        channel = CHANNELS.get(output, 0)
-        values = np.clip(np.rint(pixels[..., channel : channel + 1] * scale[channel]), 0, 255).astype(np.uint8)
-        if values.min() == values.max():
-            return float(values.flat[0] / 255)
-        return self._node(name, values, raw=True)
+            value = np.nan_to_num(np.array(self.plain(name, default), np.float64).ravel())
+            return {"type": "rgb", "value": np.clip(np.resize(value, 3), 0, 1e6 if shines else 1.0).tolist()}
+        pixels, scale = texture.pixels, np.clip(np.nan_to_num(texture.scale[:3]), 0, 1e6)
+        if texture.output != "rgb":
+            pixels = pixels[..., [CHANNELS.get(texture.output, 0)] * 3]
+        bitmaps, key = self.materials.bitmaps, (texture.key, texture.output)
+        make = bitmaps.light if shines else bitmaps.color
+        return make(key, pixels, scale, texture.lookup, raw=texture.raw)
 
-    def texture(self, name: str) -> dict[str, Any] | None:
-        """A texture of directions; None without one."""
-        found, _ = self._texture_of(name)
-        return None if found is None else self._node(name, np.ascontiguousarray(found[0][..., :3]), raw=True)
+    def number(self, name: str, default: float, threshold: float = 0.0) -> Any:
+        """A number in [0, 1], or a texture of such; 0 or 1 if there is a threshold."""
+        texture = self.texture(name)
+        if texture is None:
+            value = float(np.clip(np.nan_to_num(np.ravel(self.plain(name, default))[0]), 0, 1))
+            return float(value >= threshold) if threshold > 0 else value
+        channel = CHANNELS.get(texture.output, 0)
+        bitmaps, factor = self.materials.bitmaps, float(np.nan_to_num(texture.scale[channel]))
+        if threshold > 0:
+            return bitmaps.cutout(texture.key, texture.pixels, channel, factor, threshold, texture.lookup)
+        return bitmaps.channel(texture.key, texture.pixels, channel, factor, texture.lookup)
 
-    def _texture_of(self, name: str) -> tuple[Any, str]:
-        """Pixels, scale and whether they are linear, of the texture of an input, and its output; None without one."""
+    def texture(self, name: str) -> Texture | None:
+        """The texture of an input; None without one."""
         shader, output = self._source(name)
         if shader is None:
-            return None, ""
+            return None
         kind = shader.GetShaderId()
         asset = self.plain("file", None, shader)
         if kind != "UsdUVTexture" or asset is None:
             self.materials.model.say(f"'{name}' by '{kind}' is left out")
-            return None, ""
+            return None
         pixels = self.materials.image(asset)
         if pixels is None:
-            return None, ""
-        self._place_of(shader)
-        self._key = (str(asset.resolvedPath or asset.path), name, output)
-        space = str(self.plain("sourceColorSpace", "auto", shader))
-        scale = np.array(self.plain("scale", (1, 1, 1, 1), shader), np.float64)
+            return None
+        lookup = self._lookup(shader)
+        self.uv_sets[lookup.uv_set] = None
+        scale = np.resize(np.array(self.plain("scale", (1, 1, 1, 1), shader), np.float64), 4)
         if name != "normal" and np.any(np.array(self.plain("bias", (0, 0, 0, 0), shader))):
             self.materials.model.say("the bias of textures is left out")
-        raw = space == "raw"
-        return (pixels, np.ones(4) if name == "normal" else scale, raw), output
+        raw = str(self.plain("sourceColorSpace", "auto", shader)) == "raw"
+        return Texture(str(asset.resolvedPath or asset.path), pixels, lookup, scale, raw, output)
 
-    def _place_of(self, shader: Any) -> None:
-        """Find out how a texture is wrapped, and by which coordinates it is looked up."""
-        wraps = [WRAP.get(str(self.plain(key, "useMetadata", shader)), "repeat") for key in ("wrapS", "wrapT")]
-        if wraps[0] != wraps[1]:
-            self.materials.model.say(f"textures wrap alike along u and v: '{wraps[0]}'")
-        self._wrap, self._matrix = wraps[0], np.eye(4)
+    def _lookup(self, shader: Any) -> Lookup:
+        """How a texture is wrapped, and by which coordinates it is looked up."""
+        u, v = (WRAP.get(str(self.plain(key, "useMetadata", shader)), "repeat") for key in ("wrapS", "wrapT"))
+        found = np.eye(4)
         flip = np.diag([1.0, -1.0, 1.0, 1.0])
         flip[1, 3] = 1
         source, _ = self._source("st", shader)
@@ -284,18 +305,7 @@ class Inputs:
             matrix = np.eye(4)
             matrix[:2, :2] = np.array([[c, -s], [s, c]]) * np.array(self.plain("scale", (1, 1), source))
             matrix[:2, 3] = np.array(self.plain("translation", (0, 0), source))
-            self._matrix = self._matrix @ flip @ matrix @ flip
+            found = found @ flip @ matrix @ flip
             source, _ = self._source("in", source)
         name = str(self.plain("varname", "st", source)) if source is not None else "st"
-        if self.uv_name is None:
-            self.uv_name = name
-        elif self.uv_name != name:
-            self.materials.model.say(f"textures by '{name}' use the texture coordinates '{self.uv_name}'")
-
-    def _node(self, name: str, pixels: NDArray[Any], raw: bool) -> dict[str, Any]:
-        """The node of the texture that was found last."""
-        node: dict[str, Any] = {"type": "bitmap", "wrap_mode": self._wrap, "raw": raw or pixels.dtype != np.uint8}
-        node["bitmap" if pixels.dtype == np.uint8 else "data"] = self.materials.shared((self._key, raw), pixels)
-        if (self._matrix != np.eye(4)).any():
-            node["to_uv"] = ScalarTransform4f(self._matrix)
-        return node
+        return Lookup(name, (u, v), found)

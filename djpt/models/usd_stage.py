@@ -16,7 +16,8 @@ from djpt.core.transforms import ScalarTransform4f
 from djpt.errors import FileError, SceneError
 from djpt.models.folder import Folder
 from djpt.models.model import Camera, Matrix, Model, Part
-from djpt.models.usd_materials import Materials
+from djpt.models.normal_maps import halves
+from djpt.models.usd_materials import Materials, displayed
 from djpt.shapes.meshes.data import MeshData, unit
 
 __all__ = ["read_stage"]
@@ -35,7 +36,7 @@ def read_stage(folder: Folder, name: str, time: float | None, texture_size: int)
         opened = Usd.Stage.Open(path)
         at = Usd.TimeCode.EarliestTime() if time is None else Usd.TimeCode(time * opened.GetTimeCodesPerSecond())
         model = Model(name, str(UsdGeom.GetStageUpAxis(opened)).lower())
-        Reader(opened, at, model, Materials(folder, model, texture_size, path)).read()
+        Reader(opened, at, model, Materials(folder, model, texture_size)).read()
     except (Tf.ErrorException, RuntimeError, ValueError, IndexError, TypeError) as error:
         if isinstance(error, (SceneError, FileError)):
             raise
@@ -203,13 +204,21 @@ class Reader:
             chosen[own[(own >= 0) & (own < len(counts))]] = True
             groups[0][1][chosen[faces]] = False
             groups.append((UsdShade.MaterialBindingAPI(subset.GetPrim()).ComputeBoundMaterial()[0], chosen[faces]))
+        plain, colors = displayed(self._primvar(prim, "displayColor", 3, indices, counts))
         parts = []
         for material, kept in groups:
             if kept.any():
-                name, uv_name, emission = self.materials.made(material, self._value(mesh.GetDisplayColorAttr(), None))
-                uv = self._primvar(prim, uv_name, 2, indices, counts)
-                data = unified(points, indices, corners[kept], normals, uv)
-                parts.append(Part(str(prim.GetPath())[-100:], data, name, [], emission))
+                surface = self.materials.made(material, plain)
+                found = {name: self._primvar(prim, name, 2, indices, counts) for name in surface.uv_sets}
+                sets = {name: upside_down(uv) for name, uv in found.items() if uv is not None}
+                tints = colors if surface.tinted else {}
+                data, kept_corners = unified(points, indices, corners[kept], normals, [*sets.values(), *tints.values()])
+                part = Part(str(prim.GetPath())[-100:], data, "", [], surface.emission)
+                part.coordinates = {name: uv[kept_corners] for name, uv in sets.items()}
+                part.tints = {name: values[kept_corners] for name, values in tints.items()}
+                for half, mirrored in halves(part, surface.normal_set):
+                    half.bsdf = self.materials.made(material, plain, mirrored).name
+                    parts.append(half)
         return parts
 
     def _normals(self, mesh: Any, points: Any, corners: Any, indices: Any, counts: Any, subdivided: bool) -> Any:
@@ -367,12 +376,25 @@ def spread(
     return np.nan_to_num(rows[number], nan=0.0, posinf=0.0, neginf=0.0)
 
 
+def upside_down(uv: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Texture coordinates whose v points down, for those whose v points up."""
+    return np.ascontiguousarray(uv * (1, -1) + (0, 1), np.float32)
+
+
 def unified(
-    points: NDArray[np.float32], indices: NDArray[np.int64], corners: NDArray[np.int64], normals: Any, uv: Any
-) -> MeshData:
-    """The mesh of some corners, where those that are alike in all respects are one vertex."""
+    points: NDArray[np.float32], indices: NDArray[np.int64], corners: NDArray[np.int64], normals: Any, values: list[Any]
+) -> tuple[MeshData, NDArray[np.int64]]:
+    """The mesh of some corners, where those that are alike in all respects are one vertex; a corner of each vertex.
+
+    Args:
+        points: the points, (P, 3).
+        indices: the points of all corners, (C,).
+        corners: the corners of the triangles, (F, 3).
+        normals: those of all corners, (C, 3), or None.
+        values: what else corners have, (C, W) each.
+    """
     columns = [indices[:, None].astype(np.float64)]
-    columns += [x.astype(np.float64) for x in (normals, uv) if x is not None]
+    columns += [x.astype(np.float64) for x in (normals, *values) if x is not None]
     used = np.unique(corners)
     _, first, inverse = np.unique(np.hstack(columns)[used], axis=0, return_index=True, return_inverse=True)
     kept = used[first]
@@ -381,6 +403,4 @@ def unified(
     data = MeshData(np.ascontiguousarray(points[indices[kept]]), np.ascontiguousarray(place[corners], np.uint32))
     if normals is not None:
         data.normals = unit(normals[kept])
-    if uv is not None:
-        data.texcoords = np.ascontiguousarray(uv[kept] * (1, -1) + (0, 1), np.float32)  # v points up
-    return data
+    return data, kept

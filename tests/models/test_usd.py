@@ -94,6 +94,55 @@ def test_a_preview_surface_is_a_principled_material(tmp_path):
     assert np.array_equal(node["base_color"]["bitmap"], pixels) and node["base_color"]["wrap_mode"] == "mirror"
 
 
+def test_display_colours_vary_over_a_mesh_without_a_material(tmp_path):
+    colors = "color3f[] primvars:displayColor = [(1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 1)] (\n"
+    scene = read(tmp_path, f'def Mesh "A" {{{QUAD}{colors}interpolation = "vertex"\n) }}')
+    assert scene["material_0"]["bsdf"]["base_color"] == {"type": "mesh_attribute", "name": "vertex_color"}
+    mesh = scene["part_0"]["data"]
+    corner = mesh.positions[:, :2].tolist().index([1, -1])
+    assert mesh.attributes["vertex_color"][corner].tolist() == [0, 1, 0]
+    one = colors.replace(", (0, 1, 0), (0, 0, 1), (1, 1, 1)", "")
+    plain = read(tmp_path, f'def Mesh "A" {{{QUAD}{one}interpolation = "constant"\n) }}', name="b.usda")
+    assert plain["material_0"]["bsdf"]["base_color"] == {"type": "rgb", "value": [1, 0, 0]}
+
+
+def test_textures_have_factors_and_wrap_as_they_say(tmp_path):
+    (tmp_path / "a.png").write_bytes(png([[[255, 0, 51], [0, 255, 255]]]))
+    more = (
+        'float4 inputs:scale = (0.5, 0.5, 0.5, 1)\ntoken inputs:sourceColorSpace = "raw"\ntoken inputs:wrapT = "clamp"'
+    )
+    body = MATERIAL.replace('token inputs:wrapT = "mirror"', more)
+    node = read(tmp_path, body + BOUND)["material_0"]["bsdf"]["bsdf"]["base_color"]
+    assert node["raw"] and node["wrap_mode"] == "clamp" and node["bitmap"].shape == (1, 12, 3)  # mirrored, three times
+    assert node["bitmap"][0, 4].tolist() == [128, 0, 26]
+    body = MATERIAL.replace("float inputs:opacity = 0.5", "float inputs:opacity.connect = </M/T.outputs:b>")
+    body = body.replace("float3 outputs:rgb", "float3 outputs:rgb\nfloat outputs:b")
+    body = body.replace("float inputs:roughness", "float inputs:opacityThreshold = 0.5\nfloat inputs:roughness")
+    assert read(tmp_path, body + BOUND, name="b.usda")["material_0"]["opacity"]["bitmap"].ravel().tolist() == [0, 255]
+
+
+def test_a_normal_map_is_turned_over_where_it_is_mirrored(tmp_path):
+    (tmp_path / "a.png").write_bytes(png([[[128, 228, 200], [128, 28, 200]]]))
+    body = MATERIAL.replace("color3f inputs:diffuseColor", "normal3f inputs:normal")
+    bound = BOUND.replace("(0, 0), (1, 0), (1, 1), (0, 1)]", "(0, 0), (1, 0), (1, 1), (2, 1)]")
+    scene = read(tmp_path, body + bound)
+    rows = [scene[scene[f"part_{i}"]["bsdf"]["id"]]["bsdf"]["bsdf"]["normalmap"]["bitmap"] for i in range(2)]
+    assert [x[0, 0].tolist() for x in rows] == [[128, 228, 200], [128, 27, 200]]
+    assert [scene[f"part_{i}"]["data"].indices.tolist() for i in range(2)] == [[[0, 1, 2]]] * 2
+
+
+def test_textures_by_several_sets_of_coordinates_become_an_atlas(tmp_path):
+    (tmp_path / "a.png").write_bytes(png([[[255, 0, 0], [0, 0, 0]]]))
+    second = MATERIAL[MATERIAL.index('    def Shader "T"') :].replace("/P.", "/P2.").replace('"P"', '"P2"')
+    second = second.replace('"T"', '"T2"').replace('varname = "st"', 'varname = "st1"').rstrip().removesuffix("}")
+    body = MATERIAL.replace("float inputs:roughness = 0.25", "float inputs:roughness.connect = </M/T2.outputs:rgb>")
+    body = body.rstrip().removesuffix("}") + second + "}\n"
+    sets = QUAD[QUAD.index("    texCoord2f") : QUAD.index("    uniform")]
+    scene = read(tmp_path, body + BOUND.replace(sets, sets + sets.replace(":st", ":st1")))
+    node = scene[scene["part_0"]["bsdf"]["id"]]["bsdf"]["bsdf"]
+    assert node["base_color"]["bitmap"].shape[:2] == node["roughness"]["bitmap"].shape[:2] != (1, 2)
+
+
 def test_a_package_holds_its_textures(tmp_path):
     with zipfile.ZipFile(tmp_path / "a.usdz", "w") as archive:
         archive.writestr("a.usda", usda(MATERIAL + BOUND))
