@@ -16,12 +16,18 @@ from djpt.errors import FileError, SceneError
 from djpt.models.folder import Folder
 from djpt.models.images import check_file, decoding
 from djpt.models.model import Model, Part
+from djpt.models.normal_maps import halves, normals_of
+from djpt.models.textures import Bitmaps, Lookup
 from djpt.shapes.meshes.data import MeshData, unit
 
 __all__ = ["of_arrays", "of_trimesh", "read_mesh"]
 
 UP = {".stl": "z", ".3mf": "z"}
 """The axis that points up in formats of machine parts; elsewhere y."""
+
+
+UV = "0"
+"""The name of the only texture coordinates of a mesh."""
 
 
 def trimesh_module() -> Any:
@@ -122,6 +128,7 @@ def of_trimesh(loaded: Any, name: str, up: str = "y") -> Model:
     """
     trimesh = trimesh_module()
     model = Model(name, up)
+    bitmaps = Bitmaps(model)
     if isinstance(loaded, trimesh.Trimesh):
         places = {"mesh": (loaded, [np.eye(4)])}
     elif isinstance(loaded, trimesh.Scene):
@@ -136,31 +143,38 @@ def of_trimesh(loaded: Any, name: str, up: str = "y") -> Model:
             model.say(f"{type(mesh).__name__}s, which have no triangles, are left out")
             continue
         if len(mesh.faces):
-            model.parts.append(part_of(model, str(key)[:100], mesh, matrices))
+            model.parts += parts_of(model, bitmaps, str(key)[:100], mesh, matrices)
     return model
 
 
-def part_of(model: Model, key: str, mesh: Any, matrices: list[NDArray[np.float64]]) -> Part:
-    """The part of one mesh of trimesh."""
-    number = len(model.parts)
+def parts_of(model: Model, bitmaps: Bitmaps, key: str, mesh: Any, matrices: list[NDArray[np.float64]]) -> list[Part]:
+    """The parts of one mesh of trimesh: one, or two if a normal map is mirrored on some of it."""
     positions = np.asarray(mesh.vertices, np.float64).astype(np.float32)
     data = MeshData(positions, np.ascontiguousarray(mesh.faces, np.uint32))
     if "vertex_normals" in mesh._cache.cache and len(mesh.vertex_normals) == len(positions):
         data.normals = unit(np.asarray(mesh.vertex_normals))
     visual = mesh.visual
     kind = getattr(visual, "kind", None)
+    part = Part(key, data, "", matrices)
     node: dict[str, Any] = {"type": "principled", "base_color": grey(0.6)}
-    emission = None
+    name = f"material_{len(model.nodes)}"
     if kind == "texture":
         uv = getattr(visual, "uv", None)
         if uv is not None and len(uv) == len(positions):
             flipped = np.nan_to_num(np.asarray(uv, np.float32)[:, :2], nan=0.0, posinf=0.0, neginf=0.0)
-            data.texcoords = np.ascontiguousarray(flipped * (1, -1) + (0, 1), np.float32)
-        node = of_material(model, visual.material, data.texcoords is not None)
-        emission = emitted(visual.material)
+            part.coordinates = {UV: np.ascontiguousarray(flipped * (1, -1) + (0, 1), np.float32)}
+        if hasattr(visual.material, "baseColorFactor"):
+            found = Pbr(model, bitmaps, visual.material, bool(part.coordinates))
+            part.emission = found.emission()
+            halved = halves(part, UV if found.has_normals else None)
+            for half, mirrored in halved:
+                half.bsdf = f"{name}_mirrored" if mirrored else name
+                model.nodes[half.bsdf] = found.node(mirrored)
+            return [half for half, _ in halved]
+        node = of_mtl(model, bitmaps, visual.material, bool(part.coordinates))
+        part.emission = emitted(visual.material)
     elif kind == "vertex":
-        colors = decoded_bytes(np.asarray(visual.vertex_colors)[:, :3])
-        data.attributes["vertex_color"] = colors
+        data.attributes["vertex_color"] = decoded_bytes(np.asarray(visual.vertex_colors)[:, :3])
         node["base_color"] = {"type": "mesh_attribute", "name": "vertex_color"}
     elif kind == "face":
         colors = decoded_bytes(np.asarray(visual.face_colors)[:, :3])
@@ -169,24 +183,81 @@ def part_of(model: Model, key: str, mesh: Any, matrices: list[NDArray[np.float64
         else:
             data.attributes["face_color"] = colors
             node["base_color"] = {"type": "mesh_attribute", "name": "face_color"}
-    name = f"material_{number}"
+    part.bsdf = name
     model.nodes[name] = node if node["type"] == "mask" else {"type": "twosided", "bsdf": node}
-    return Part(key, data, name, matrices, emission)
+    return [part]
 
 
-def of_material(model: Model, material: Any, has_uv: bool) -> dict[str, Any]:
-    """The BSDF of a material of trimesh: one of MTL, or a metallic-roughness one."""
+class Pbr:
+    """A metallic-roughness material of trimesh, whose entries and defaults are those of glTF.
+
+    Args:
+        model: for messages.
+        bitmaps: makes the textures.
+        material: a `trimesh.visual.material.PBRMaterial`.
+        has_uv: whether the mesh has texture coordinates.
+    """
+
+    def __init__(self, model: Model, bitmaps: Bitmaps, material: Any, has_uv: bool) -> None:
+        self.model, self.bitmaps, self.material, self.has_uv = model, bitmaps, material, has_uv
+        self.has_normals = has_uv and material.normalTexture is not None
+
+    def _pixels(self, name: str) -> tuple[Any, Any]:
+        """What stands for a texture, and its pixels, (H, W, 4); None without one."""
+        image = getattr(self.material, name)
+        if image is None or not self.has_uv:
+            return None, None
+        with decoding(f"{self.model.name}: a texture"):
+            return (name, id(image)), np.array(image.convert("RGBA"))
+
+    def _channel(self, name: str, channel: int, factor: float | None) -> Any:
+        value = float(np.clip(np.nan_to_num(1.0 if factor is None else factor), 0, 1))
+        key, pixels = self._pixels(name)
+        return value if pixels is None else self.bitmaps.channel(key, pixels, channel, value, Lookup(UV))
+
+    def node(self, mirrored: bool) -> dict[str, Any]:
+        """The BSDF, for triangles with a mirrored texture or for others."""
+        material, lookup = self.material, Lookup(UV)
+        factor = np.ones(4) if material.baseColorFactor is None else np.asarray(material.baseColorFactor) / 255
+        key, pixels = self._pixels("baseColorTexture")
+        node: dict[str, Any] = {"type": "principled", "base_color": {"type": "rgb", "value": factor[:3].tolist()}}
+        if pixels is not None:
+            node["base_color"] = self.bitmaps.color(key, pixels, factor[:3], lookup)
+        node["roughness"] = self._channel("metallicRoughnessTexture", 1, material.roughnessFactor)
+        node["metallic"] = self._channel("metallicRoughnessTexture", 2, material.metallicFactor)
+        if self.has_normals:
+            number, image = self._pixels("normalTexture")
+            normals = self.bitmaps.node((number, mirrored), normals_of(image, 1.0, mirrored), lookup, raw=True)
+            node = {"type": "normalmap", "normalmap": normals, "bsdf": node}
+        node = {"type": "twosided", "bsdf": node}
+        opacity: Any = 1.0
+        if material.alphaMode in ("MASK", "BLEND"):
+            opacity = float(factor[3])
+            cutoff = 0.5 if material.alphaCutoff is None else float(material.alphaCutoff)
+            if material.alphaMode == "BLEND":
+                opacity = opacity if pixels is None else self.bitmaps.channel(key, pixels, 3, opacity, lookup)
+            elif pixels is None:
+                opacity = float(opacity >= cutoff)
+            else:
+                opacity = self.bitmaps.cutout(key, pixels, 3, opacity, cutoff, lookup)
+        return node if opacity == 1.0 else {"type": "mask", "opacity": opacity, "bsdf": node}
+
+    def emission(self) -> dict[str, Any] | None:
+        """The radiance that it emits; None for none."""
+        found = emitted(self.material)
+        key, pixels = self._pixels("emissiveTexture")
+        if found is None or pixels is None:
+            return found
+        return self.bitmaps.light(key, pixels, np.array(found["value"]), Lookup(UV)) if pixels[..., :3].any() else None
+
+
+def of_mtl(model: Model, bitmaps: Bitmaps, material: Any, has_uv: bool) -> dict[str, Any]:
+    """The BSDF of a material of MTL."""
     base: Any = np.full(3, 0.6)
     image = getattr(material, "image", None)
     given = getattr(material, "kwargs", {}) or {}
     node: dict[str, Any] = {"type": "principled"}
-    if hasattr(material, "baseColorFactor"):  # PBRMaterial
-        image = material.baseColorTexture
-        factor = material.baseColorFactor
-        base = decoded_bytes(np.asarray(factor)[:3]) if factor is not None else np.ones(3)
-        node["roughness"] = float(np.clip(1.0 if material.roughnessFactor is None else material.roughnessFactor, 0, 1))
-        node["metallic"] = float(np.clip(0.0 if material.metallicFactor is None else material.metallicFactor, 0, 1))
-    elif not is_default(material):
+    if not is_default(material):
         base = np.asarray(material.diffuse, np.float64)[:3] / 255
         shininess = float(np.clip(np.nan_to_num(getattr(material, "glossiness", None) or 1.0), 0, 1e4))
         # The exponent of Phong's lobe as the width of a microfacet distribution: alpha^2 = 2 / (Ns + 2).
@@ -195,12 +266,11 @@ def of_material(model: Model, material: Any, has_uv: bool) -> dict[str, Any]:
         for key in unread:
             if key.lower() != "map_kd":
                 model.say(f"the texture '{key}' of MTL is left out")
+    node["base_color"] = {"type": "rgb", "value": np.clip(base, 0, 1).tolist()}
     if image is not None and has_uv and not is_default(material):
         with decoding(f"{model.name}: a texture"):
             pixels = np.array(image.convert("RGB"))
-        node["base_color"] = {"type": "bitmap", "bitmap": pixels}
-    else:
-        node["base_color"] = {"type": "rgb", "value": np.clip(base, 0, 1).tolist()}
+        node["base_color"] = bitmaps.node(id(image), pixels, Lookup(UV), raw=False)
     opacity = opacity_of(given)
     if opacity < 1:
         return {"type": "mask", "opacity": opacity, "bsdf": {"type": "twosided", "bsdf": node}}

@@ -10,6 +10,7 @@ from PIL import Image
 
 import djpt
 from djpt.models.formats import read_model
+from djpt.models.objects import description_of
 from tests.kit.gltf import png
 
 pytest.importorskip("trimesh")
@@ -91,3 +92,33 @@ def test_textures_that_cant_be_decoded_are_named(tmp_path, huge):
     (tmp_path / "t.png").write_bytes(png(np.random.default_rng(0).integers(0, 255, (16, 16, 3)))[:200])
     with pytest.raises(djpt.SceneError, match=r"m\.obj: a texture can't be read"):
         read_model(tmp_path / "m.obj")
+
+
+def test_a_metallic_roughness_material_of_trimesh_is_that_of_gltf():
+    trimesh = pytest.importorskip("trimesh")
+    images = {
+        "baseColorTexture": [[[255, 0, 0, 255], [0, 255, 0, 0]]],
+        "metallicRoughnessTexture": [[[0, 255, 255, 255], [0, 0, 0, 255]]],
+        "normalTexture": [[[128, 228, 200, 255], [128, 128, 255, 255]]],
+        "emissiveTexture": [[[255, 255, 255, 255], [0, 0, 0, 255]]],
+    }
+    material = trimesh.visual.material.PBRMaterial(
+        **{name: Image.fromarray(np.uint8(pixels)) for name, pixels in images.items()},
+        **{"roughnessFactor": 0.5, "emissiveFactor": [0, 2, 0], "alphaMode": "MASK"},
+    )
+    corners = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [0, 1, 1]]
+    uv = [[0, 0], [1, 0], [0, 1], [0, 0], [-1, 0], [0, 1]]  # the second triangle has a mirrored texture
+    visual = trimesh.visual.TextureVisuals(uv=uv, material=material)
+    scene = description_of(trimesh.Trimesh(corners, [[0, 1, 2], [3, 4, 5]], visual=visual, process=False))
+    nodes = [scene[scene[f"part_{i}"]["bsdf"]["id"]] for i in range(2)]
+    assert [node["opacity"]["bitmap"].ravel().tolist() for node in nodes] == [[255, 0]] * 2
+    normals = [node["bsdf"]["bsdf"]["normalmap"]["bitmap"][0, 0].tolist() for node in nodes]
+    assert normals == [[128, 228, 200], [128, 27, 200]]
+    node = nodes[0]["bsdf"]["bsdf"]["bsdf"]
+    assert node["roughness"]["bitmap"].ravel().tolist() == [128, 0]
+    assert node["metallic"]["bitmap"].ravel().tolist() == [255, 0]
+    assert scene["part_0"]["emitter"]["radiance"]["data"][0].tolist() == [[0, 2, 0], [0, 0, 0]]
+    plain = trimesh.visual.material.PBRMaterial(baseColorFactor=[0.2, 0.4, 0.6, 1], metallicFactor=0)
+    visual = trimesh.visual.TextureVisuals(material=plain)
+    color = description_of(trimesh.Trimesh(corners, [[0, 1, 2]], visual=visual))["material_0"]["bsdf"]["base_color"]
+    assert np.allclose(color["value"], [0.2, 0.4, 0.6], atol=1e-6)  # linear, as in glTF
