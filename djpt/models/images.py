@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, UnidentifiedImageError
 
 from djpt.core.limits import MAX_NUMBERS, NUMBERS_PER_BYTE
 from djpt.errors import SceneError
@@ -74,5 +74,7 @@ def decoding(where: str) -> Iterator[None]:
         raise
     except MemoryError:
         raise SceneError(f"{where} doesn't fit into memory") from None
+    except UnidentifiedImageError:
+        raise SceneError(f"{where} can't be read: it isn't a PNG, JPEG or WebP file, or damaged") from None
     except Exception as error:  # decoders fail in many ways
         raise SceneError(f"{where} can't be read: {error}") from None

@@ -23,8 +23,10 @@ from djpt.models.normal_maps import normals_of
 from djpt.models.principled import eta_of, gloss_of
 from djpt.models.textures import LINEAR, Bitmaps, Lookup
 
-__all__ = ["Materials", "Surface", "displayed"]
+__all__ = ["GREY", "Materials", "Surface", "displayed"]
 
+TINTED: dict[str, Any] = {"type": "rgb", "value": [1.0] * 3, "tint": "vertex_color"}
+"""The colour that points have."""
 WRAP = {"clamp": "clamp", "mirror": "mirror", "repeat": "repeat", "black": "clamp", "useMetadata": "repeat"}
 CHANNELS = {"r": 0, "g": 1, "b": 2, "a": 3}
 GREY = 0.18
@@ -45,8 +47,8 @@ class Surface:
     """The one of its normal map, or None."""
     emission: dict[str, Any] | None = None
     """The light that it emits, or None."""
-    tinted: bool = False
-    """Whether it has the colours of the mesh's points."""
+    tint: str | None = None
+    """The primvar of the colours of the mesh's points by which its own is multiplied, or None."""
 
 
 class Materials:
@@ -85,7 +87,7 @@ class Materials:
                 self._made[key] = self._surface(name, shader, mirrored)
             else:
                 self._add(name, {"type": "principled", "base_color": plain})
-                self._made[key] = Surface(name, tinted=tint is not None)
+                self._made[key] = Surface(name, tint=None if tint is None else "displayColor")
         return self._made[key]
 
     def _add(self, name: str, node: dict[str, Any]) -> None:
@@ -125,7 +127,7 @@ class Materials:
         emission = inputs.color("emissiveColor", (0.0,) * 3, shines=True)
         dark = emission["type"] == "rgb" and not any(emission["value"])
         normal_set = None if normal is None else normal.lookup.uv_set
-        return Surface(name, tuple(inputs.uv_sets) or ("st",), normal_set, None if dark else emission)
+        return Surface(name, tuple(inputs.uv_sets) or ("st",), normal_set, None if dark else emission, inputs.tint)
 
     # ---- textures --------------------------------------------------------------------------
 
@@ -150,7 +152,9 @@ class Materials:
         if name not in self._images:
             self._images[name] = None
             try:
-                pixels, smaller = decoded_image(self._bytes(name), self.largest, os.path.basename(name)[:100])
+                pixels, smaller = decoded_image(
+                    self._bytes(name), self.largest, os.path.basename(name)[:100].rstrip("]")
+                )
             except (FileError, SceneError) as error:
                 self.model.say(f"a texture is left out: {error}")
                 return None
@@ -193,14 +197,12 @@ class Texture:
     """What is used of it: ``rgb`` or a channel."""
 
 
-def displayed(colors: NDArray[np.float32] | None) -> tuple[dict[str, Any], dict[str, NDArray[np.float32]]]:
-    """The colour of a mesh without a material by its display colours, (C, 3), and what it is multiplied by."""
+def displayed(colors: NDArray[np.float32] | None) -> dict[str, Any]:
+    """The colour of a mesh without a material by its display colours, (C, 3)."""
     if colors is None or not len(colors):
-        return {"type": "rgb", "value": [GREY] * 3}, {}
+        return {"type": "rgb", "value": [GREY] * 3}
     colors = np.clip(colors, 0, 1)
-    if (colors == colors[0]).all():
-        return {"type": "rgb", "value": colors[0].tolist()}, {}
-    return {"type": "rgb", "value": [1.0] * 3, "tint": "vertex_color"}, {"vertex_color": colors}
+    return {"type": "rgb", "value": colors[0].tolist()} if (colors == colors[0]).all() else TINTED
 
 
 class Inputs:
@@ -210,6 +212,8 @@ class Inputs:
         self.materials, self.shader = materials, shader
         self.uv_sets: dict[str, None] = {}
         """The primvars of the texture coordinates of its textures."""
+        self.tint: str | None = None
+        """The primvar that is its diffuse colour, or None."""
 
     def connected(self, name: str) -> bool:
         """True if an input comes from another shader."""
@@ -245,7 +249,11 @@ class Inputs:
         return None, ""
 
     def color(self, name: str, default: tuple[float, ...], shines: bool = False) -> dict[str, Any]:
-        """A colour, or a radiance if it `shines`: a texture, or linear numbers."""
+        """A colour, or a radiance if it `shines`: a texture, linear numbers, or the colours of points."""
+        reader, _ = self._source(name)
+        if name == "diffuseColor" and reader is not None and reader.GetShaderId() == "UsdPrimvarReader_float3":
+            self.tint = str(self.plain("varname", "displayColor", reader))
+            return TINTED
         texture = self.texture(name)
         if texture is None:
             value = np.nan_to_num(np.array(self.plain(name, default), np.float64).ravel())

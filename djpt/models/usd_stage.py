@@ -17,7 +17,7 @@ from djpt.errors import FileError, SceneError
 from djpt.models.folder import Folder
 from djpt.models.model import Camera, Matrix, Model, Part
 from djpt.models.normal_maps import halves
-from djpt.models.usd_materials import Materials, displayed
+from djpt.models.usd_materials import GREY, Materials, displayed
 from djpt.shapes.meshes.data import MeshData, unit
 
 __all__ = ["read_stage"]
@@ -32,10 +32,11 @@ def read_stage(folder: Folder, name: str, time: float | None, texture_size: int)
 
     path = str(folder.find(name))
     try:
-        check_layers(path, folder, name)
+        model = Model(name)
+        check_layers(path, folder, model)
         opened = Usd.Stage.Open(path)
         at = Usd.TimeCode.EarliestTime() if time is None else Usd.TimeCode(time * opened.GetTimeCodesPerSecond())
-        model = Model(name, str(UsdGeom.GetStageUpAxis(opened)).lower())
+        model.up = str(UsdGeom.GetStageUpAxis(opened)).lower()
         Reader(opened, at, model, Materials(folder, model, texture_size)).read()
     except (Tf.ErrorException, RuntimeError, ValueError, IndexError, TypeError) as error:
         if isinstance(error, (SceneError, FileError)):
@@ -53,10 +54,11 @@ def said_by(error: Exception) -> str:
     return text[:300] or type(error).__name__
 
 
-def check_layers(path: str, folder: Folder, name: str) -> None:
+def check_layers(path: str, folder: Folder, model: Model) -> None:
     """Raise an error if a layer that the file is composed of lies outside of the folder, before it is read."""
     from pxr import Sdf
 
+    name = model.name
     todo, seen = [path], set()
     while todo:
         current = todo.pop()
@@ -72,6 +74,10 @@ def check_layers(path: str, folder: Folder, name: str) -> None:
             )
         if not os.path.isfile(outer):
             continue  # the library says so, and goes on without it
+        suffix = current.rstrip("]").rpartition(".")[2]
+        if current != path and (not suffix or Sdf.FileFormat.FindByExtension(suffix) is None):
+            model.say(f"layers in the format '{suffix[:20]}', which usd-core doesn't read, are left out")
+            continue
         layer = Sdf.Layer.FindOrOpen(current)
         if layer is None:
             raise SceneError(f"{name}: the layer '{os.path.basename(current)[:200]}' can't be read")
@@ -204,14 +210,18 @@ class Reader:
             chosen[own[(own >= 0) & (own < len(counts))]] = True
             groups[0][1][chosen[faces]] = False
             groups.append((UsdShade.MaterialBindingAPI(subset.GetPrim()).ComputeBoundMaterial()[0], chosen[faces]))
-        plain, colors = displayed(self._primvar(prim, "displayColor", 3, indices, counts))
+        plain = displayed(self._primvar(prim, "displayColor", 3, indices, counts))
         parts = []
         for material, kept in groups:
             if kept.any():
                 surface = self.materials.made(material, plain)
                 found = {name: self._primvar(prim, name, 2, indices, counts) for name in surface.uv_sets}
                 sets = {name: upside_down(uv) for name, uv in found.items() if uv is not None}
-                tints = colors if surface.tinted else {}
+                tints = {}
+                if surface.tint is not None:
+                    colors = self._primvar(prim, surface.tint, 3, indices, counts)
+                    grey = np.full((len(indices), 3), GREY, np.float32)
+                    tints["vertex_color"] = grey if colors is None else np.clip(colors, 0, 1)
                 data, kept_corners = unified(points, indices, corners[kept], normals, [*sets.values(), *tints.values()])
                 part = Part(str(prim.GetPath())[-100:], data, "", [], surface.emission)
                 part.coordinates = {name: uv[kept_corners] for name, uv in sets.items()}

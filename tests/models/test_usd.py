@@ -106,6 +106,24 @@ def test_display_colours_vary_over_a_mesh_without_a_material(tmp_path):
     assert plain["material_0"]["bsdf"]["base_color"] == {"type": "rgb", "value": [1, 0, 0]}
 
 
+def test_a_material_may_have_the_colours_of_points(tmp_path):
+    reader = MATERIAL.replace("</M/T.outputs:rgb>", "</M/P.outputs:result>").replace('float2"', 'float3"')
+    reader = reader.replace('varname = "st"', 'varname = "paint"')
+    paint = "color3f[] primvars:paint = [(1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 1)] (\ninterpolation = "
+    scene = read(tmp_path, reader + BOUND.replace("rel material", paint + '"vertex"\n)\nrel material'))
+    assert scene["material_0"]["bsdf"]["bsdf"]["base_color"] == {"type": "mesh_attribute", "name": "vertex_color"}
+    assert scene["part_0"]["data"].attributes["vertex_color"].sum(axis=1).tolist() == [1, 1, 1, 3]
+    lacking = read(tmp_path, reader + BOUND, name="b.usda")["part_0"]["data"].attributes["vertex_color"]
+    assert np.allclose(lacking, 0.18)
+
+
+def test_layers_in_formats_without_a_reader_are_left_out(tmp_path):
+    (tmp_path / "m.mtlx").write_text("<materialx/>")
+    with pytest.warns(UserWarning, match="layers in the format 'mtlx'"):
+        scene = read(tmp_path, f'def "X" (prepend references = @m.mtlx@</M>) {{}}\ndef Mesh "A" {{{QUAD}}}')
+    assert "part_0" in scene
+
+
 def test_textures_have_factors_and_wrap_as_they_say(tmp_path):
     (tmp_path / "a.png").write_bytes(png([[[255, 0, 51], [0, 255, 255]]]))
     more = (
