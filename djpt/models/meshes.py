@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import logging
 import warnings
+import zlib
 from collections.abc import Mapping
 from typing import Any
 
@@ -79,8 +80,7 @@ def read_mesh(data: bytes, folder: Folder, name: str) -> Model:
     """
     trimesh = trimesh_module()
     suffix = "." + name.rpartition(".")[2].lower()
-    if suffix == ".3mf":
-        check_archive(data, name)
+    colored = suffix == ".3mf" and check_archive(data, name)
     resolver = Resolver(folder)
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
@@ -95,6 +95,8 @@ def read_mesh(data: bytes, folder: Folder, name: str) -> Model:
         raise SceneError(f"{name}: can't be read: {str(error)[:200] or type(error).__name__}") from None
     try:
         model = of_trimesh(loaded, name, UP.get(suffix, "y"))
+        if colored:
+            model.say("materials and colours of 3MF are left out")
         for reason in resolver.missing:
             model.say(f"a material or texture is left out: {reason}")
         return model
@@ -108,16 +110,19 @@ MOST_UNPACKED = 2**29
 """The most bytes in an archive."""
 
 
-def check_archive(data: bytes, name: str) -> None:
-    """Raise `SceneError` for an archive that would become much larger when it is unpacked."""
+def check_archive(data: bytes, name: str) -> bool:
+    """Whether a 3MF file has materials; raises `SceneError` for one that would become much larger when unpacked."""
     import zipfile
 
     try:
-        size = sum(entry.file_size for entry in zipfile.ZipFile(io.BytesIO(data)).infolist())
-    except (zipfile.BadZipFile, ValueError, NotImplementedError, OSError) as error:
+        archive = zipfile.ZipFile(io.BytesIO(data))
+        size = sum(entry.file_size for entry in archive.infolist())
+        if size > MOST_UNPACKED:
+            raise SceneError(f"{name}: has {size} bytes when unpacked; at most {MOST_UNPACKED}")
+        texts = [archive.read(entry) for entry in archive.infolist() if entry.filename.endswith(".model")]
+    except (zipfile.BadZipFile, zlib.error, ValueError, NotImplementedError, OSError, RuntimeError, EOFError) as error:
         raise SceneError(f"{name}: isn't an archive: {error}") from None
-    if size > MOST_UNPACKED:
-        raise SceneError(f"{name}: has {size} bytes when unpacked; at most {MOST_UNPACKED}")
+    return any(mark in text for text in texts for mark in (b"basematerials", b"colorgroup", b"texture2d"))
 
 
 def of_trimesh(loaded: Any, name: str, up: str = "y") -> Model:

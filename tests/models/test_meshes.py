@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+import zipfile
 
 import numpy as np
 import pytest
@@ -73,6 +74,17 @@ def test_a_texture_is_found_and_a_missing_one_is_said(tmp_path):
 def test_texture_coordinates_without_a_material_are_grey(tmp_path):
     found = material(read(tmp_path, "", TWO_TRIANGLES.replace("mtllib a.mtl", "").replace("usemtl a", "")))
     assert found["bsdf"]["base_color"] == {"type": "rgb", "value": [0.6] * 3}
+
+
+def test_colours_of_3mf_are_said_to_be_left_out(tmp_path):
+    trimesh = pytest.importorskip("trimesh")
+    trimesh.creation.box().export(tmp_path / "a.3mf")
+    with zipfile.ZipFile(tmp_path / "a.3mf") as archive:
+        text = archive.read("3D/3dmodel.model").decode()
+    with zipfile.ZipFile(tmp_path / "a.3mf", "a") as archive:
+        archive.writestr("3D/other.model", text.replace("<resources>", "<resources><!-- colorgroup -->"))
+    with pytest.warns(UserWarning, match="materials and colours of 3MF are left out"):
+        read_model(tmp_path / "a.3mf")
 
 
 def test_emission(tmp_path):
