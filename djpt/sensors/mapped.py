@@ -118,6 +118,10 @@ class MappedCamera(ProjectiveCamera):
 
     # ---- in kernels --------------------------------------------------------------------
 
+    def viewpoint_radius(self) -> float:
+        """How far from `origin` the places are from which points are seen."""
+        return 0.0
+
     def sight(self, ref: Point3f) -> tuple[Point3f, Bool | bool]:
         """The place from which a point is seen, and whether there is one."""
         return self.origin, True

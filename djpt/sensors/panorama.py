@@ -39,8 +39,7 @@ class Panorama(MappedCamera):
     (omnidirectional stereo): at half of `eye_distance` from the centre, across the horizontal direction of the column.
     Such rays are tangents of a cylinder of radius r = eye_distance / 2 instead of meeting in one point. A point at the
     distance D from the cylinder's axis is seen along the tangent on the eye's side, whose horizontal length is
-    sqrt(D^2 - r^2); what is within the cylinder isn't seen. Derivatives by the place and the lens of such an eye aren't
-    available.
+    sqrt(D^2 - r^2); what is within the cylinder isn't seen.
 
     Parameters, besides those of `MappedCamera`: `azimuth_from`, `azimuth_to` (degrees, default -180 and 180, at most
     360 apart: the film's left and right edge), `elevation_from`, `elevation_to` (default -90 and 90: the film's lower
@@ -60,6 +59,7 @@ class Panorama(MappedCamera):
     azimuth_to: Float
     elevation_from: Float
     elevation_to: Float
+    eye_distance: Float
     aside: Float
     """How far to the left of the centre, seen along a column, its rays start."""
 
@@ -68,13 +68,13 @@ class Panorama(MappedCamera):
         for name, default in zip(self.lens, (-180.0, 180.0, -90.0, 90.0), strict=True):
             setattr(self, name, Float(props.float(name, default)))
         self.eye = props.string("eye", "centre", choices=tuple(EYES))
-        self._eye_distance = props.float("eye_distance", 0.065, low=0.0)
+        self.eye_distance = Float(props.float("eye_distance", 0.065, low=0.0))
         problem = self.problem()
         if problem is not None:
             raise props.error(*problem)
         self.is_central = self.is_pinhole = self.eye == "centre"  # type: ignore[misc]
         if self.eye != "centre":
-            self.motions = ()  # type: ignore[assignment, misc]
+            self.motions = (*type(self).motions, "eye_distance")  # type: ignore[assignment, misc]
         self.place()
 
     def problem(self) -> tuple[str, str] | None:
@@ -95,16 +95,15 @@ class Panorama(MappedCamera):
 
     def traverse_lens(self, callback: Any) -> None:
         super().traverse_lens(callback)
-        callback.put("eye_distance", self._eye_distance, attribute="_eye_distance")
+        callback.put("eye_distance", self.eye_distance, self.motion_flags("eye_distance"))
 
     def check_parameter(self, name: str, value: Any) -> Any:
-        if name in self.lens:
-            number = as_number(dr.detach(value))
-            return Float(value) if dr.grad_enabled(value) else Float(number)
-        checked = super().check_parameter(name, value)
-        if name == "eye_distance" and checked < 0:
-            raise ParameterError(f"must be at least 0, found {checked:g}")
-        return checked
+        if name not in (*self.lens, "eye_distance"):
+            return super().check_parameter(name, value)
+        number = as_number(dr.detach(value))
+        if name == "eye_distance" and number < 0:
+            raise ParameterError(f"must be at least 0, found {number:g}")
+        return Float(value) if dr.grad_enabled(value) else Float(number)
 
     def parameters_changed(self, keys: Any) -> None:
         problem = self.problem()
@@ -113,13 +112,22 @@ class Panorama(MappedCamera):
         super().parameters_changed(keys)
 
     def move_lens(self, frame: Any) -> None:
-        self._eye_distance *= frame.scale
+        self.eye_distance = Float(self.eye_distance[0] * frame.scale)
 
     # ---- on the host -------------------------------------------------------------------
 
     def place(self) -> None:
         super().place()
-        self.aside = as_float(0.5 * self._eye_distance * EYES[self.eye])
+        self.aside = as_float(self.viewpoint_radius() * EYES[self.eye])
+
+    def viewpoint_radius(self) -> float:
+        return 0.5 * float(dr.detach(self.eye_distance)[0]) * abs(EYES[self.eye])
+
+    def moved_rays(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        moved = super().moved_rays(values)
+        if "eye_distance" in values:
+            moved["aside"] = values["eye_distance"] * (0.5 * EYES[self.eye])
+        return moved
 
     def window(self, values: Mapping[str, Any]) -> tuple[Any, Any]:
         radians = math.pi / 180
@@ -173,7 +181,7 @@ class Panorama(MappedCamera):
         found = list(super().starts())
         if self.eye == "centre":
             return found
-        linear, radius = self.to_world.matrix[:3, :3], 0.5 * self._eye_distance
+        linear, radius = self.to_world.matrix[:3, :3], self.viewpoint_radius()
         return [p + linear @ (radius * np.array(side)) for p in found for side in ((1, 0, 0), (-1, 0, 0))]
 
 

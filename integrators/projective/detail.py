@@ -6,6 +6,7 @@ Z. Zhang, N. Roussel and W. Jakob, "Projective Sampling for Differentiable Rende
 
 from __future__ import annotations
 
+import copy
 from typing import Any
 
 import drjit as dr
@@ -27,6 +28,7 @@ from djpt.integrators.projective.projection import ProjectOperation
 from djpt.integrators.projective.receivers import Receiver
 from djpt.integrators.projective.splat import keep
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f
+from djpt.sensors.mapped import MappedCamera
 from djpt.sensors.orthographic import Orthographic
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
@@ -53,7 +55,12 @@ class ProjectiveDetail:
 
     def init_primarily_visible_silhouette(self, scene: Any, sensor: Any) -> None:
         """Find the silhouettes as the sensor sees them, of all shapes that move."""
-        self.outlines = Outlines(scene.silhouette_shapes(), viewpoint_of(scene, sensor), creases=True)
+        shapes, viewpoint = scene.silhouette_shapes(), viewpoint_of(scene, sensor)
+        if isinstance(sensor, MappedCamera) and not sensor.is_central:
+            sight, radius = detached(sensor).sight, sensor.viewpoint_radius()
+            self.outlines = Outlines(shapes, viewpoint, creases=True, sight=sight, within=radius)
+        else:
+            self.outlines = Outlines(shapes, viewpoint, creases=True)
 
     def sample_primarily_visible_silhouette(
         self, scene: Any, viewpoint: Any, sample2: Point2f, active: Bool | bool
@@ -277,12 +284,12 @@ class ProjectiveDetail:
 
 
 def viewpoint_of(scene: Any, sensor: Any) -> Point3f:
-    """The point that a sensor sees outlines from; of one with parallel rays a point far away.
+    """The point that a sensor sees outlines from, or one close by; of one with parallel rays a point far away.
 
     Raises:
         RenderError: the sensor is no camera with a place, nor one with parallel rays.
     """
-    if sensor.is_central:
+    if sensor.is_central or isinstance(sensor, MappedCamera):
         return Point3f(dr.detach(sensor.origin))
     if not isinstance(sensor, Orthographic):
         raise RenderError(
@@ -291,6 +298,14 @@ def viewpoint_of(scene: Any, sensor: Any) -> Point3f:
         )
     center, radius = scene.bounding_sphere()
     return Point3f(*(float(c) for c in center)) - dr.detach(sensor.direction) * (FAR * float(radius))
+
+
+def detached(sensor: Any) -> Any:
+    """A view of a sensor that doesn't move."""
+    view = copy.copy(sensor)
+    for name in sensor.values:
+        setattr(view, name, dr.detach(getattr(sensor, name)))
+    return view
 
 
 def seen_through(sensor: Any, sampler: Any) -> Any:

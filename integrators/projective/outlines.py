@@ -1,4 +1,4 @@
-"""The silhouettes of shapes as they are seen from one point: curves, sampled by length."""
+"""The silhouettes of shapes as a viewer sees them: curves, sampled by length."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import drjit as dr
 from djpt.core.records import SurfaceInteraction3f
 from djpt.distributions.distributions_1d import DiscreteDistribution
 from djpt.integrators.projective.guiding import padded
+from djpt.integrators.projective.viewpoints import Sight, sampled_from_many
 from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
@@ -23,11 +24,25 @@ class Outlines:
         shapes: the shapes, each of which has silhouettes; `SilhouetteSample3f.scene_index` counts them.
         viewpoint: the point that they are seen from.
         creases: whether edges between two faces that are both seen belong to them.
+        sight: the place from which each point is seen, if there are many: they are close to `viewpoint`.
+        within: how close.
     """
 
-    def __init__(self, shapes: Sequence[Any], viewpoint: Any, creases: bool = False) -> None:
-        self._shapes, self._viewpoint = shapes, viewpoint
-        parts = [shape.precompute_silhouette(viewpoint, creases) for shape in shapes]
+    def __init__(
+        self,
+        shapes: Sequence[Any],
+        viewpoint: Any,
+        creases: bool = False,
+        sight: Sight | None = None,
+        within: float = 0.0,
+    ) -> None:
+        self._shapes, self._viewpoint, self._creases, self._sight = shapes, viewpoint, creases, sight
+        parts = [
+            shape.precompute_silhouette(viewpoint, creases)
+            if sight is None
+            else shape.silhouette().precompute(viewpoint, creases, within)
+            for shape in shapes
+        ]
         self._parts = [indices for indices, _ in parts]
         self._within = [
             DiscreteDistribution(padded(weights) if dr.width(weights) else Float(0)) for _, weights in parts
@@ -49,10 +64,20 @@ class Outlines:
             place, part_chance = self._within[k].sample_pmf(u, mine)
             part = dr.gather(UInt32, self._parts[k], place, mine)
             valid = mine & (part_chance > 0) & (chance > 0)
-            ss = shape.sample_precomputed_silhouette(self._viewpoint, part, sample.y, valid)
+            ss = self._point(shape, part, sample.y, valid)
             ss.pdf, ss.scene_index = ss.pdf * part_chance * chance, UInt32(k)
             result = dr.select(valid, ss, result)
         return result
+
+    def _point(self, shape: Any, part: UInt32, along: Float, active: Bool) -> SilhouetteSample3f:
+        """A point of a part of an outline."""
+        if self._sight is None:
+            ss: SilhouetteSample3f = shape.sample_precomputed_silhouette(self._viewpoint, part, along, active)
+            return ss
+        ss = sampled_from_many(shape, self._viewpoint, self._sight, part, along, active)
+        seen = shape.silhouette().seen(self._sight(ss.p)[0], part, self._creases)
+        ss.discontinuity_type = dr.select(seen, ss.discontinuity_type, 0)
+        return ss
 
     def follow(self, ss: SilhouetteSample3f, active: Bool | bool = True) -> Point3f:
         """The points of samples, attached to the parameters of the shapes, which they stick to."""

@@ -126,12 +126,17 @@ class Silhouette:
         """A point of the silhouette, as seen from `viewpoint`, that belongs to the surface point `si`."""
         raise NotImplementedError
 
-    def precompute(self, viewpoint: Point3f, creases: bool = False) -> tuple[UInt32, Float]:
+    def precompute(self, viewpoint: Point3f, creases: bool = False, within: float = 0.0) -> tuple[UInt32, Float]:
         """The parts of the silhouette as seen from a point: their numbers, and weights to choose among them.
 
-        With `creases`, edges count, too, of whose faces both are seen and at which shading jumps.
+        With `creases`, edges count, too, of whose faces both are seen and at which shading jumps. All parts are
+        returned that are seen from a point `within` a distance of the `viewpoint`.
         """
         return UInt32(PERIMETER), Float(1)
+
+    def seen(self, viewpoint: Point3f, part: UInt32, creases: bool) -> Bool:
+        """Whether a part is one of those that are seen from just this point."""
+        return Bool(True)
 
     def sample_precomputed(
         self, viewpoint: Point3f, part: UInt32, sample: Float, active: Bool | bool

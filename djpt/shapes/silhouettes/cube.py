@@ -171,16 +171,19 @@ class CubeSilhouette(Silhouette):
         p = dr.fma(edge.along, 2 * along - 1, self.shape.center + edge.sides[0] + edge.sides[1])
         return self._on_edge(edge, along, dr.normalize(p - viewpoint))
 
-    def precompute(self, viewpoint: Point3f, creases: bool = False) -> tuple[UInt32, Float]:
+    def precompute(self, viewpoint: Point3f, creases: bool = False, within: float = 0.0) -> tuple[UInt32, Float]:
         number = dr.arange(UInt32, EDGES)
         edge = Edge(self, number)
-        counts = self._counts(edge, viewpoint, int(DiscontinuityFlags.Creases) if creases else 0)
-        part: Any = dr.compress(counts)
+        # Those few that are seen from elsewhere are all taken.
+        part: Any = number if within else dr.compress(self.seen(viewpoint, number, creases))
         middle = self.shape.center + edge.sides[0] + edge.sides[1]
         to_a, to_b = (dr.normalize(middle + sign * edge.along - viewpoint) for sign in (-1, 1))
         # The angle in which an edge is seen: a chord of the unit sphere is twice the sine of half of its angle.
         angle = 2 * dr.safe_asin(0.5 * dr.norm(to_b - to_a))
         return part, dr.gather(Float, angle, part)
+
+    def seen(self, viewpoint: Point3f, part: UInt32, creases: bool) -> Bool:
+        return self._counts(Edge(self, part), viewpoint, int(DiscontinuityFlags.Creases) if creases else 0)
 
     def sample_precomputed(
         self, viewpoint: Point3f, part: UInt32, sample: Float, active: Bool | bool

@@ -129,7 +129,7 @@ class CylinderSilhouette(Silhouette):
         ss.discontinuity_type = dr.select(distance > shape.radius, UInt32(INTERIOR), 0)
         return ss
 
-    def precompute(self, viewpoint: Point3f, creases: bool = False) -> tuple[UInt32, Float]:
+    def precompute(self, viewpoint: Point3f, creases: bool = False, within: float = 0.0) -> tuple[UInt32, Float]:
         return UInt32(PERIMETER, INTERIOR), Float(0.5, 0.5)
 
     def sample_precomputed(

@@ -253,22 +253,36 @@ class MeshSilhouette(Silhouette):
             discontinuity_type=dr.select(~failed & active, UInt32(PERIMETER), 0),
         )
 
-    def precompute(self, viewpoint: Point3f, creases: bool = False) -> tuple[UInt32, Float]:
+    def precompute(self, viewpoint: Point3f, creases: bool = False, within: float = 0.0) -> tuple[UInt32, Float]:
         edge = dr.arange(UInt32, 3 * len(self.shape.indices))
         a, b, _ = self.corners(edge)
-        opposite, shared, own, other = self.normals(edge, True)
+        opposite, shared = self.neighbour(edge)
+        part: Any = dr.compress(~shared | ((opposite > edge) & self._counts(edge, a - viewpoint, creases, within)))
         to_a, to_b = dr.normalize(a - viewpoint), dr.normalize(b - viewpoint)
-        parted = dr.dot(to_a, own) * dr.dot(to_a, other) <= 0
+        # The angle in which an edge is seen: a chord of the unit sphere is twice the sine of half of its angle.
+        angle = 2 * dr.safe_asin(0.5 * dr.norm(to_b - to_a))
+        return part, dr.gather(Float, angle, part)
+
+    def seen(self, viewpoint: Point3f, part: UInt32, creases: bool) -> Bool:
+        _, shared = self.neighbour(part)
+        a, _, _ = self.corners(part)
+        return ~shared | self._counts(part, a - viewpoint, creases)
+
+    def _counts(self, edge: UInt32, to_edge: Vector3f, creases: bool, within: float = 0.0) -> Bool:
+        """Whether shared edges count for a viewer, or for one `within` a distance of it."""
+        _, _, own, other = self.normals(edge, True)
+        d = dr.normalize(to_edge)
+        cos, other_cos, least = dr.dot(d, own), dr.dot(d, other), within * dr.rcp(dr.norm(to_edge))
+        parted = cos * other_cos <= 0
+        if within:
+            parted = (dr.minimum(cos, other_cos) <= least) & (dr.maximum(cos, other_cos) >= -least)
         counts = parted & (dr.abs(dr.dot(own, other)) < 1)
         if creases:
             lit = self.jumps(edge) & (dr.dot(own, other) < FLAT)
             if not has_flag(self.shape.bsdf().flags(), BSDFFlags.BackSide):
-                lit &= (dr.dot(to_a, own) > 0) if self.shape.flip_normals else (dr.dot(to_a, own) < 0)
+                lit &= (cos > -least) if self.shape.flip_normals else (cos < least)
             counts |= lit
-        part: Any = dr.compress(~shared | ((opposite > edge) & counts))
-        # The angle in which an edge is seen: a chord of the unit sphere is twice the sine of half of its angle.
-        angle = 2 * dr.safe_asin(0.5 * dr.norm(to_b - to_a))
-        return part, dr.gather(Float, angle, part)
+        return counts
 
     def sample_precomputed(
         self, viewpoint: Point3f, part: UInt32, sample: Float, active: Bool | bool

@@ -183,7 +183,7 @@ class OpenRevolutionSilhouette(Silhouette):
         across, z = self.shape.across(viewpoint)
         return Vector3f(dr.dot(across, self.shape.axis_x), dr.dot(across, self.shape.axis_y), 0), z
 
-    def precompute(self, viewpoint: Point3f, creases: bool = False) -> tuple[UInt32, Float]:
+    def precompute(self, viewpoint: Point3f, creases: bool = False, within: float = 0.0) -> tuple[UInt32, Float]:
         return UInt32(PERIMETER, INTERIOR), Float(0.5, 0.5)
 
     def sample_precomputed(

@@ -72,7 +72,7 @@ class SphereSilhouette(Silhouette):
             silhouette_d=dr.cross(d, n),
         )
 
-    def precompute(self, viewpoint: Point3f, creases: bool = False) -> tuple[UInt32, Float]:
+    def precompute(self, viewpoint: Point3f, creases: bool = False, within: float = 0.0) -> tuple[UInt32, Float]:
         return UInt32(INTERIOR), Float(1)
 
     def sample_precomputed(
