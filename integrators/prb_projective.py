@@ -147,7 +147,7 @@ class PathProjectiveIntegrator(PSIntegrator):
                         turned = onward_direction(si, bs.wo, bs.eta, smooth)
                     Lo = Le + Lr + dr.select(onward, L * change, 0)
                     if dr.hint(backward, mode="scalar"):
-                        dr.backward_from(δL * Lo)
+                        dr.backward_from(δL * Lo, flags=dr.ADFlag.Default | dr.ADFlag.AllowNoGrad)
 
             way_before = Ray3f(o_before, d_before)
             o_before, d_before, p_before = Point3f(o), Vector3f(d), Point3f(still.p)

@@ -167,6 +167,18 @@ class Sensor(SampledRays, Endpoint):
             values = ((name, getattr(self, name)) for name in self.motions)
             return [name for name, value in values if value is not None and dr.grad_enabled(value)]
 
+    def lens_moves(self) -> bool:
+        """Whether numbers of its lens have gradients."""
+        return any(name != "attached_matrix" for name in self.attached_names())
+
+    def middle(self) -> Point2f:
+        """The place on the crop window that shows the optical axis: of those with `has_image_circle` only."""
+        raise NotImplementedError
+
+    def edge_of_view(self, turn: Float) -> Point2f:
+        """The places on the crop window where what is shown ends, at fractions of a turn about the `middle`."""
+        raise NotImplementedError
+
     def attached(self) -> Any:
         """The sensor, its rays attached to what places them; itself if nothing has gradients."""
         if self.is_attached or not self.attached_names():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Mapping
 from typing import Any, ClassVar
@@ -28,6 +29,8 @@ STEPS, STEPS_TO_RIM = 7, 20
 where the distortion hardly grows."""
 RESIDUE = 2e-6
 """The largest error, in focal lengths, that they may leave."""
+DIRECTIONS, BISECTIONS = 48, 20
+"""In so many directions it is found out where the picture folds, to so many bits of a step."""
 SHOWN = 0.995
 """The radius of what the lens shows over that at which the picture folds."""
 
@@ -74,6 +77,8 @@ class DistortedPerspective(Perspective):
     start: Point2f
     """The point of the image plane that film position (0, 0) shows, in camera space."""
     step: Point2f
+    fold: float | None
+    """The angle at which the picture folds first."""
     rim: Float
     """The radius of what the lens shows, in the ideal image; only if the film reaches past it."""
     axis_x: Vector3f
@@ -109,7 +114,7 @@ class DistortedPerspective(Perspective):
         start, step = self.plane_window(values)
         self.start, self.step = Point2f(*map(as_float, start)), Point2f(*map(as_float, step))
         self.inv_area = as_float(1 / abs(step[0] * step[1]))
-        self.has_image_circle, self.rim = False, as_float(1e9)
+        self.has_image_circle, self.rim, self.fold = False, as_float(1e9), None
         if not self.has_inverse(np.array(start), np.array(step)):
             self.has_image_circle, self.rim = True, as_float(self.last_radius())
 
@@ -136,14 +141,52 @@ class DistortedPerspective(Perspective):
 
     def last_radius(self) -> float:
         """The radius of what the lens shows, in the ideal image: a little less than where the picture folds."""
-        radius, angle = np.linspace(0, 20, 4001), np.linspace(0, 2 * math.pi, 48, endpoint=False)
-        places = radius * np.stack([np.cos(angle), np.sin(angle)])[..., None]
-        found, slopes = self.distorted(Point2f(places.reshape(2, -1).astype(np.float32)))
-        determinant = np.array(slopes[0] * slopes[2] - dr.square(slopes[1]))
-        grows = (determinant > 0) & np.isfinite(np.array(found)).all(axis=0)
-        folds = ~grows.reshape(len(angle), len(radius)).all(axis=0)
-        last = radius[folds.argmax()] if folds.any() else radius[-1]
-        return float(SHOWN * last)
+        radius, angle = np.linspace(0, 20, 4001), np.linspace(0, 2 * math.pi, DIRECTIONS, endpoint=False)
+        grows = self.grows(radius, angle[:, None])
+        folds = ~grows.all(axis=0)
+        if not folds.any():
+            return float(SHOWN * radius[-1])
+        first = int(folds.argmax())
+        self.fold = float(angle[(~grows[:, first]).argmax()])
+        # Between two steps: of all directions that in which it folds first.
+        low, high = float(radius[max(first - 1, 0)]), float(radius[first])
+        for _ in range(BISECTIONS):
+            middle = 0.5 * (low + high)
+            found = self.grows(np.array([middle]), angle[:, None])[:, 0]
+            if found.all():
+                low = middle
+            else:
+                high, self.fold = middle, float(angle[(~found).argmax()])
+        return SHOWN * high
+
+    def grows(self, radius: NDArray[np.float64], angle: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Whether the picture doesn't fold at places of the ideal image."""
+        places = np.stack(np.broadcast_arrays(radius, angle)).astype(np.float32)
+        with dr.suspend_grad():
+            found = np.array(self.determinant(*(Float(values.ravel()) for values in places)))
+        return (np.isfinite(found) & (found > 0)).reshape(places.shape[1:])
+
+    def moved_rim(self, values: Mapping[str, Any]) -> Float:
+        """`rim`, attached to coefficients: where the determinant of the map's derivatives is 0 in one direction."""
+        rim = dr.detach(self.rim)
+        if self.fold is None:
+            return rim
+        view, radius = copy.copy(self), rim / SHOWN
+        for name in self.lens:
+            setattr(view, name, dr.detach(getattr(self, name)))
+        dr.enable_grad(radius)
+        dr.set_grad(radius, 1)
+        slope = dr.forward_to(view.determinant(radius, self.fold), flags=dr.ADFlag.ClearEdges)
+        for name, value in values.items():
+            setattr(view, name, value)
+        change = view.determinant(rim / SHOWN, self.fold)
+        return rim - (change - dr.detach(change)) * (SHOWN / slope)
+
+    def determinant(self, radius: Float, angle: Float | float) -> Float:
+        """How much larger areas are shown than in the ideal image; 0 where the picture folds."""
+        sin, cos = dr.sincos(Float(angle))
+        _, (xx, xy, yy) = self.distorted(Point2f(radius * cos, radius * sin))
+        return xx * yy - dr.square(xy)
 
     # ---- parameters --------------------------------------------------------------------
 
@@ -156,7 +199,7 @@ class DistortedPerspective(Perspective):
         if name not in self.lens:
             return super().check_parameter(name, value)
         number = as_number(dr.detach(value))
-        if name == "pixel_aspect" and number <= 0:
+        if name in ("pixel_aspect", "eta") and number <= 0:
             raise ParameterError(f"must be greater than 0, found {number:g}")
         return Float(value) if dr.grad_enabled(value) else dr.opaque(Float, number)
 
@@ -167,8 +210,9 @@ class DistortedPerspective(Perspective):
         known = {name: dr.detach(getattr(self, name)) for name in ("x_fov", *OFFSETS, "pixel_aspect")}
         start, step = self.plane_window({**known, **{k: v for k, v in values.items() if k in known}})
         placed = {"origin": origin, "axis_x": x, "axis_y": y, "axis_z": z, "axis": z}
-        coefficients = {name: value for name, value in values.items() if name in COEFFICIENTS}
-        return {**placed, "start": Point2f(*start), "step": Point2f(*step), **coefficients}
+        of_lens = {name: value for name, value in values.items() if name in self.lens and name in type(self).values}
+        moved = {**placed, "start": Point2f(*start), "step": Point2f(*step), **of_lens}
+        return {**moved, "rim": self.moved_rim(of_lens)} if self.has_image_circle and of_lens else moved
 
     # ---- the lens ------------------------------------------------------------------------
 
@@ -202,7 +246,7 @@ class DistortedPerspective(Perspective):
             fixed = dr.detach(place)
             q = fixed
             if self.has_image_circle:
-                q = q * dr.minimum(1, self.rim * dr.rsqrt(dr.maximum(dr.squared_norm(q), 1e-20)))
+                q = q * dr.minimum(1, dr.detach(self.rim) * dr.rsqrt(dr.maximum(dr.squared_norm(q), 1e-20)))
             for _ in range(STEPS_TO_RIM if self.has_image_circle else STEPS):
                 q = self.nearer(q, fixed)
         return self.nearer(dr.detach(q), place)
@@ -218,9 +262,17 @@ class DistortedPerspective(Perspective):
 
     # ---- in kernels --------------------------------------------------------------------
 
+    def middle(self) -> Point2f:
+        return Point2f(-self.start.x / self.step.x, -self.start.y / self.step.y)
+
+    def edge_of_view(self, turn: Float) -> Point2f:
+        sin, cos = dr.sincos(2 * math.pi * turn)
+        place, _ = self.distorted(Point2f(self.rim * cos, self.rim * sin))
+        return Point2f((place.x - self.start.x) / self.step.x, (place.y - self.start.y) / self.step.y)
+
     def in_circle(self, q: Point2f) -> Bool:
         """Whether an ideal image lies within what the lens shows."""
-        return dr.squared_norm(dr.detach(q)) < dr.square(self.rim)
+        return dr.squared_norm(dr.detach(q)) < dr.square(dr.detach(self.rim))
 
     def shows(self, film_position: Point2f) -> Bool:
         """Whether a place on the film shows anything."""

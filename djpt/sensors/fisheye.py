@@ -61,8 +61,9 @@ class Fisheye(MappedCamera):
     }
     statics = ("projection", "has_image_circle")
     lens = ("x_focal", "y_focal", "principal_point_offset_x", "principal_point_offset_y", *COEFFICIENTS)
-    motions = ("attached_matrix", *lens)
+    motions = ("attached_matrix", *lens, "image_circle")
     in_any_frame = True
+    image_circle: Float
     last_theta: Float
     """The angle of the last direction that is shown."""
 
@@ -93,13 +94,13 @@ class Fisheye(MappedCamera):
             if self.projection == "stereographic" and fov > 350:
                 raise props.error("fov", f"must be at most 350 for a stereographic projection, found {fov:g}")
             axis = fov_axis(props, width / height)
-            rho = self.radius(math.radians(fov) / 2)
+            rho = self.radius(math.radians(fov) / 2, {})
             reach = {"x": 1.0, "y": height / width, "diagonal": math.hypot(1.0, height / width)}[axis]
             # Half of the film along the axis, in image widths, is rho focal lengths long.
             focal = 0.5 * reach / rho
             self.x_focal, self.y_focal = Float(focal), Float(focal * width / height)
         self.principal_point_offset_x, self.principal_point_offset_y = map(Float, shift)
-        self._image_circle = props.float("image_circle", 360.0, low=0.0, high=360.0, low_open=True)
+        self.image_circle = Float(props.float("image_circle", 360.0, low=0.0, high=360.0, low_open=True))
         try:
             self.place()
         except SceneError as error:
@@ -109,17 +110,14 @@ class Fisheye(MappedCamera):
 
     def traverse_lens(self, callback: Any) -> None:
         super().traverse_lens(callback)
-        callback.put("image_circle", self._image_circle, attribute="_image_circle")
+        callback.put("image_circle", self.image_circle, self.motion_flags("image_circle"))
 
     def check_parameter(self, name: str, value: Any) -> Any:
-        if name == "image_circle":
-            number = as_number(value)
-            if not 0 < number <= 360:
-                raise ParameterError(f"must lie in (0, 360], found {number:g}")
-            return number
-        if name not in self.lens:
+        if name not in (*self.lens, "image_circle"):
             return super().check_parameter(name, value)
         number = as_number(dr.detach(value))
+        if name == "image_circle" and not 0 < number <= 360:
+            raise ParameterError(f"must lie in (0, 360], found {number:g}")
         if name in ("x_focal", "y_focal") and number <= 0:
             raise ParameterError(f"must be greater than 0, found {number:g}")
         if name in COEFFICIENTS and self.projection != "polynomial":
@@ -143,32 +141,43 @@ class Fisheye(MappedCamera):
         self.has_image_circle = furthest > rim * (1 + 1e-6)
         self.rim, self.last_theta = as_float(min(rim, 1e9)), as_float(theta)
 
-    def radius(self, theta: float) -> float:
-        """The distance from the centre at an angle, in focal lengths."""
+    def radius(self, theta: Any, values: Mapping[str, Any]) -> Any:
+        """The distance from the centre at an angle, in focal lengths, by numbers of the lens: a number, or `Float`."""
         if self.projection == "equisolid":
-            return 2 * math.sin(theta / 2)
+            return 2 * dr.sin(theta / 2)
         if self.projection == "stereographic":
-            return 2 * math.tan(theta / 2)
+            return 2 * dr.tan(theta / 2)
         if self.projection == "orthographic":
-            return math.sin(theta)
+            return dr.sin(theta)
         if self.projection == "equidistant":
             return theta
-        k = [float(dr.detach(getattr(self, name))[0]) for name in COEFFICIENTS]
-        return theta * (1 + sum(c * theta ** (2 * n + 2) for n, c in enumerate(k)))
+        return theta * (1 + sum(values[name] * theta ** (2 * n + 2) for n, name in enumerate(COEFFICIENTS)))
 
     def last_direction(self) -> tuple[float, float]:
         """The angle of the last direction that is shown, and its distance from the centre."""
-        last = math.radians(self._image_circle) / 2
+        last, values = math.radians(float(dr.detach(self.image_circle)[0])) / 2, self.numbers()
         if self.projection != "polynomial":
             last = min(last, math.radians(LARGEST_FOV[self.projection]) / 2)
             endless = self.projection == "stereographic" and last > math.pi - 1e-6
-            return last, math.inf if endless else self.radius(last)
+            return last, math.inf if endless else self.radius(last, values)
         # As far as the polynomial grows.
         theta = np.linspace(0, last, 2049)
-        rho = np.array([self.radius(float(t)) for t in theta])
+        rho = self.radius(theta, values)
         falls = np.flatnonzero(np.diff(rho) <= 0)
         place = falls[0] if len(falls) else -1
         return float(theta[place]), float(rho[place])
+
+    def moved_rays(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        moved = super().moved_rays(values)
+        if self.has_image_circle:
+            theta: Any = dr.detach(self.last_theta)
+            # Where the projection ends, the circle's angle is beyond the last one; where a polynomial turns, changes
+            # of this angle don't matter.
+            if "image_circle" in values:
+                half = values["image_circle"] * (math.pi / 360)
+                theta = dr.select(dr.detach(half) <= theta * (1 + 1e-6), half, theta)
+            moved["rim"] = self.radius(theta, {**self.numbers(), **values})
+        return moved
 
     def window(self, values: Mapping[str, Any]) -> tuple[Any, Any]:
         offset, share = self.film_window()

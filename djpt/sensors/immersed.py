@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import drjit as dr
 
-from djpt.core.numeric import as_number
-from djpt.description.plugin import ParamFlags, TraversalCallback
+from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
-from djpt.errors import ParameterError
 from djpt.jit.kernels import as_float
 from djpt.jit.types import Float, Point2f
 from djpt.materials.ior import IOR, ior
@@ -33,7 +31,7 @@ class ImmersedPerspective(DistortedPerspective):
     camera. Brightness stays that of the medium: the window's reflection and the factor 1 / eta^2 are left out.
 
     Parameters, besides those of `perspective`: `ior`, the index of refraction around the camera: a number or a name of
-    `djpt.materials.ior.IOR`. As a parameter its quotient by that of air, `eta`: not differentiable. What matter is
+    `djpt.materials.ior.IOR`. As a parameter its quotient by that of air, `eta`. What matter is
     around a point, `djpt.scene.surroundings` finds out; absorption is that of the medium in which the camera is.
     """
 
@@ -42,7 +40,7 @@ class ImmersedPerspective(DistortedPerspective):
         **{name: flags for name, flags in DistortedPerspective.values.items() if name not in REAL_LENS},
         "eta": ParamFlags.NonDifferentiable,
     }
-    lens = ("pixel_aspect",)
+    lens = ("pixel_aspect", "eta")
     motions = (*Perspective.motions, *lens)
     eta: Float
 
@@ -52,18 +50,6 @@ class ImmersedPerspective(DistortedPerspective):
                 raise props.error(name, "can't be given together with 'ior': a lens that distorts has no flat window")
         self.eta = as_float(ior(props, "ior", "air") / IOR["air"])
         super().__init__(props)
-
-    def traverse_lens(self, callback: TraversalCallback) -> None:
-        super().traverse_lens(callback)
-        callback.put("eta", self.eta, ParamFlags.NonDifferentiable)
-
-    def check_parameter(self, name: str, value: Any) -> Any:
-        if name != "eta":
-            return super().check_parameter(name, value)
-        number = as_number(value)
-        if number <= 0:
-            raise ParameterError(f"must be greater than 0, found {number:g}")
-        return as_float(number)
 
     def last_radius(self) -> float:
         """All directions ahead; a thinner medium shows them within the critical angle."""

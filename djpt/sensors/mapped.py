@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -141,6 +142,13 @@ class MappedCamera(ProjectiveCamera):
             q, maxt = dr.select(shown, q, 0), dr.select(shown, maxt, 0)
         d = self.to_world_space(self.to_direction(q))
         return Ray3f(dr.fma(d, self.near, self.origin), d, maxt=maxt)
+
+    def middle(self) -> Point2f:
+        return Point2f(-self.corner.x / self.step.x, -self.corner.y / self.step.y)
+
+    def edge_of_view(self, turn: Float) -> Point2f:
+        sin, cos = dr.sincos(2 * math.pi * turn)
+        return Point2f((self.rim * cos - self.corner.x) / self.step.x, (self.rim * sin - self.corner.y) / self.step.y)
 
     def in_circle(self, q: Point2f) -> Bool:
         """Whether a point of the plane lies within the circle of what the lens shows."""

@@ -11,6 +11,7 @@ from djpt.description.properties import Properties
 from djpt.films.base import FilmFlags
 from djpt.integrators.ad_integrator import RBIntegrator, attached, modes, propagate
 from djpt.integrators.projective.beams import BeamSides, has_sides
+from djpt.integrators.projective.circles import edge_of_circle
 from djpt.integrators.projective.cuts import cuts_on_film
 from djpt.integrators.projective.detail import ProjectiveDetail
 from djpt.integrators.projective.reattach import delta_lights
@@ -28,7 +29,7 @@ from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 __all__ = ["PSIntegrator"]
 
 PRIMARY_SEED, GUIDING_SEED, INDIRECT_SEED = 0xFFFFFFFF, 0xAFAFAFAF, 0xAA00AA00
-SHADOW_SEED, CUT_SEED, LENS_SEED = 0x77777777, 0x33333333, 0x55555555
+SHADOW_SEED, CUT_SEED, LENS_SEED, CIRCLE_SEED = 0x77777777, 0x33333333, 0x55555555, 0x99999999
 """Combined with the seed of the image, for samples of their own."""
 
 MOST_LENS_POINTS = 16
@@ -251,6 +252,10 @@ class PSIntegrator(RBIntegrator):
                 sampler, _ = self.prepare(camera, CUT_SEED ^ seed, primary, self.aov_names())
                 value, place, found = cuts_on_film(self, scene, camera, sampler)
                 total += self._splatted(camera, sampler, place, value, found)
+        if primary and camera.has_image_circle and camera.lens_moves():
+            sampler, _ = self.prepare(camera, CIRCLE_SEED ^ seed, primary, self.aov_names())
+            value, place, found = edge_of_circle(self, scene, camera, sampler)
+            total += self._splatted(camera, sampler, place, value, found)
         if indirect:
             total += self._shadow_edges(scene, camera, seed, indirect)
         return total

@@ -1,7 +1,7 @@
 """Outlines as a camera sees them whose rays start in many places, such as the eye of a stereo panorama.
 
-Such a camera sees each point of space from one place, o = `sight`(y). With y(o, u) the point of an outline as it is seen
-from o, at the fraction u of a part of it, what the camera sees is the curve
+Such a camera sees each point of space from one place, o = `sight`(y). With y(o, u) the point of an outline as it is
+seen from o, at the fraction u of a part of it, what the camera sees is the curve
 
     y = y(sight(y), u),    dy/du = y_u + y_o sight_y dy/du.
 

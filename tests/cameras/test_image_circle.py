@@ -11,7 +11,7 @@ import pytest
 import djpt
 from djpt.core.transforms import ScalarTransform4f as T
 from djpt.description import registry
-from djpt.errors import RenderError, SceneError
+from djpt.errors import SceneError
 from djpt.jit.types import Color3f, Float, Point2f
 from tests.kit.chi_squared import uniform
 from tests.kit.kernels import Watched
@@ -174,19 +174,6 @@ def test_derivatives_are_those_of_differences(kind: str, mesh: bool) -> None:
         dr.forward(forward)
         assert float(result.grad.array[0]) == pytest.approx(expected, rel=1e-2)
         params[key] = kind(0.5)
-
-
-def test_derivatives_by_the_lens_are_refused() -> None:
-    """They move the edge of the circle."""
-    scene = djpt.load_dict(described("equidistant", {"type": "prb_projective", "max_depth": 3}))
-    params = djpt.traverse(scene)
-    value = Float(params["sensor.x_focal"])
-    dr.enable_grad(value)
-    params["sensor.x_focal"] = value
-    params.update()
-    message = r"'sensor' .fisheye. leaves a part of its film dark, and 'x_focal' has gradients, and how the edge"
-    with pytest.raises(RenderError, match=message):
-        dr.backward(dr.sum(djpt.render(scene, params, spp=1), axis=None))
 
 
 def test_a_batch_of_lenses() -> None:

@@ -133,6 +133,26 @@ class Case:
         self.integrator(kind).render_backward(scene, None, TensorXf(WEIGHTS), spp=self.spp, seed=seed)
         return float(dr.grad(theta)[0])
 
+    def check(self, kind: str, name: str) -> None:
+        """Assert that derivatives are those of differences, within 4 standard errors or 3 per cent, in both modes.
+
+        The error of four estimates is itself an estimate, and too small now and then: sixteen decide where four are
+        off.
+        """
+        expected, noise = self.difference()
+        found: list[float] = []
+        for seeds in (range(11, 15), range(15, 27)):
+            found += [self.forward(kind, seed) for seed in seeds]
+            error = float(np.hypot(np.std(found, ddof=1) / np.sqrt(len(found)), noise))
+            print(f"{name}, {kind}: {np.mean(found):.4f} +- {error:.4f}, expected {expected:.4f}")
+            right = abs(np.mean(found) - expected) < max(4 * error, 0.03 * abs(expected))
+            if right and error < max(0.3 * abs(expected), 0.3):
+                break
+        assert right
+        assert error < max(0.3 * abs(expected), 0.3)
+        # Of sums that cancel, rounding is relative to what they vary by.
+        assert self.reverse(kind, 14) == pytest.approx(found[3], rel=1e-4, abs=1e-4 * float(np.std(found, ddof=1)))
+
 
 def ball(bsdf: Any = None, **more: Any) -> dict[str, Any]:
     """A sphere."""
@@ -673,24 +693,7 @@ EACH = [
 
 @pytest.mark.parametrize(("name", "kind"), EACH)
 def test_derivatives_are_those_of_differences(name: str, kind: str) -> None:
-    """Within 4 standard errors or 3 per cent; and those of reverse mode are those of forward mode.
-
-    The error of four estimates is itself an estimate, and too small now and then: sixteen decide where four are off.
-    """
-    case = CASES[name]
-    expected, noise = case.difference()
-    found: list[float] = []
-    for seeds in (range(11, 15), range(15, 27)):
-        found += [case.forward(kind, seed) for seed in seeds]
-        error = float(np.hypot(np.std(found, ddof=1) / np.sqrt(len(found)), noise))
-        print(f"{name}, {kind}: {np.mean(found):.4f} +- {error:.4f}, expected {expected:.4f}")
-        right = abs(np.mean(found) - expected) < max(4 * error, 0.03 * abs(expected))
-        if right and error < max(0.3 * abs(expected), 0.3):
-            break
-    assert right
-    assert error < max(0.3 * abs(expected), 0.3)
-    # Of sums that cancel, rounding is relative to what they vary by.
-    assert case.reverse(kind, 14) == pytest.approx(found[3], rel=1e-4, abs=1e-4 * float(np.std(found, ddof=1)))
+    CASES[name].check(kind, name)
 
 
 def test_chains_of_smooth_surfaces() -> None:

@@ -244,17 +244,6 @@ def hidden_by(shape: Any, rendering: Rendering) -> Iterator[str]:
         yield "light of other surfaces"
 
 
-def image_circles(rendering: Rendering) -> Iterator[str]:
-    """Cameras with a circle on the film outside of which nothing is shown, and whose lens has gradients.
-
-    Wherever the camera stands and whatever it sees, the circle stays where it is on the film.
-    """
-    for camera in () if rendering.camera is None else rendering.camera.members():
-        names = [name for name in camera.attached_names() if name != "attached_matrix"]
-        if camera.has_image_circle and names:
-            yield f"{named(camera)} leaves a part of its film dark, and '{names[0]}' has gradients"
-
-
 def far_planes(rendering: Rendering) -> Iterator[str]:
     """Shapes that reach beyond the far plane of a camera; of infinite planes, those whose horizon it may show."""
     for camera in () if rendering.sensor is None or not rendering.movers() else rendering.sensor.members():
@@ -334,12 +323,6 @@ CASES: tuple[Case, ...] = (
         "the sides of its beam aren't followed",
         "use a 'spot' light whose 'beam_width' is less than its 'cutoff_angle', or a small area light",
         bounded_beams,
-    ),
-    Case(
-        "a lens with gradients whose image circle leaves a part of the film dark",
-        "how the edge of the circle moves on the film isn't followed",
-        "choose a smaller field of view, or a crop, that leaves the dark corners out",
-        image_circles,
     ),
     Case(
         "a camera whose far plane cuts or hides a shape; an infinite `plane` whose horizon a camera sees that moves",
