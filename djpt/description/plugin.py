@@ -451,6 +451,10 @@ class Endpoint(Plugin):
         """The animated transform that moves it, its own or that of its shape; None if it stays."""
         return self.motion if self.shape is None else self.shape.motion
 
+    def world_transform_anim(self) -> Any:
+        """The `djpt.AnimatedTransform4f` that moves it, which its own `to_world` is; None if it stays."""
+        return self.motion
+
     def get_shape(self) -> Any:
         """The shape that it stands in, or None."""
         return self.shape

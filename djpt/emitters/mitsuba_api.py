@@ -50,13 +50,14 @@ class EmitterQuestions(Endpoint):
         self.set_bounds(np.zeros(3), 1.0)
 
     def bbox(self) -> ScalarBoundingBox3f:
-        """The box about the shape or the point that light comes from; empty for light from infinity."""
+        """The box about the shape or the point that light comes from, at all times; empty for light from infinity."""
         if self.shape is not None:
             return self.shape.bbox()
         is_infinite = has_flag(self.flags(), EmitterFlags.Infinite)  # type: ignore[attr-defined]
         if not is_infinite and hasattr(self, "position"):
             at = np.array(dr.detach(self.position), np.float64).ravel()
-            return ScalarBoundingBox3f(at, at)
+            box = ScalarBoundingBox3f(at, at)
+            return box if self.motion is None else self.motion.get_spatial_bounds(box)
         return ScalarBoundingBox3f(np.full(3, np.inf), np.full(3, -np.inf))
 
     def eval_direction(self, it: Observer, ds: DirectionSample3f, active: Bool | bool = True) -> Color3f:

@@ -94,9 +94,10 @@ class ProjectiveCamera(Sensor):
         raise NotImplementedError
 
     def bbox(self) -> ScalarBoundingBox3f:
-        """The point where the camera stands, as a box."""
+        """The point where the camera stands, as a box; of one that moves, the box about all such points."""
         p = self.to_world.translation().tolist()
-        return ScalarBoundingBox3f(p, p)
+        box = ScalarBoundingBox3f(p, p)
+        return box if self.motion is None else self.motion.get_spatial_bounds(box)
 
     def near_clip(self) -> float:
         """The distance of the near plane along the optical axis."""

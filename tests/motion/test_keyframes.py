@@ -141,6 +141,16 @@ def test_what_cannot_move_says_so(node: dict[str, Any], message: str) -> None:
         djpt.load_dict(node)
 
 
+@pytest.mark.parametrize("kind", ["point", "perspective"])
+def test_what_moves_knows_its_animation_and_all_of_its_places(kind: str) -> None:
+    places = {0: T().translate([1, -2, 3]), 1: T().translate([-1, 5, 0]), 2: T().translate([0, 2, 8])}
+    moving = djpt.load_dict({"type": kind, "to_world": A(places)})
+    assert np.allclose(moving.world_transform_anim().eval_scalar(2).translation(), [0, 2, 8])
+    box = moving.bbox()
+    assert np.allclose(np.array(box.min), [-1, -2, 0]) and np.allclose(np.array(box.max), [1, 5, 8])
+    assert djpt.load_dict({"type": kind}).world_transform_anim() is None
+
+
 def test_edits_must_leave_what_moves_possible() -> None:
     scene = djpt.load_string(XML)
     params = djpt.traverse(scene)
