@@ -13,7 +13,7 @@ from djpt.models.gltf_file import GltfFile, numbers, scalar
 from djpt.models.gltf_textures import Textures
 from djpt.models.model import Matrix, Model, Part
 from djpt.models.normal_maps import halves, normals_of
-from djpt.models.principled import COAT, SMALLEST_ETA, eta_of, gloss_of
+from djpt.models.principled import COAT, SMALLEST_ETA, eta_of, gloss_of, luminance, of_hue
 from djpt.models.textures import LINEAR, Lookup, encoded_bytes
 from djpt.shapes.meshes.data import MeshData
 
@@ -186,9 +186,7 @@ class Materials:
             node["clearcoat_gloss"] = self._coat_gloss(clearcoat)
         color = np.clip(numbers(sheen.get("sheenColorFactor"), (0, 0, 0)), 0, 1)
         if color.any():
-            if color.min() < color.max() or sheen.get("sheenColorTexture"):
-                self.model.say("the colour of a sheen is replaced by white of the same strength")
-            node["sheen"] = float(color.mean())
+            self._add_sheen(node, color, bool(sheen.get("sheenColorTexture")))
         anisotropy = extension("anisotropy")
         if anisotropy:
             self._add_anisotropy(node, anisotropy)
@@ -221,6 +219,20 @@ class Materials:
             self.model.say("the clear coat of a thin transparent sheet is left out")
         kept = {key: value for key, value in node.items() if key not in ("metallic", "clearcoat", "clearcoat_gloss")}
         return {**kept, "type": "principledthin"}
+
+    def _add_sheen(self, node: dict[str, Any], color: Matrix, has_texture: bool) -> None:
+        """A sheen, which is white here, or has the hue of the base colour."""
+        node["sheen"] = float(color.mean())
+        if color.min() == color.max() and not has_texture:
+            return
+        base = node["base_color"]
+        plain = base["type"] == "rgb" and "tint" not in base and not has_texture
+        found = of_hue(np.array(base["value"]), color) if plain else None
+        if found is None:
+            self.model.say("the colour of a sheen is replaced by white of the same strength")
+        else:
+            node["base_color"] = {"type": "rgb", "value": found.tolist()}
+            node |= {"sheen": luminance(color), "sheen_tint": 1.0}
 
     def _add_anisotropy(self, node: dict[str, Any], anisotropy: dict[str, Any]) -> None:
         strength = float(np.clip(scalar(anisotropy.get("anisotropyStrength"), 0.0), 0, 1))

@@ -7,12 +7,16 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["COAT", "SMALLEST_ETA", "eta_of", "gloss_of"]
+from djpt.models.model import Matrix
+
+__all__ = ["COAT", "SMALLEST_ETA", "eta_of", "gloss_of", "luminance", "of_hue"]
 
 COAT = 0.1
 """The largest alpha of the coat of `principled`."""
 SMALLEST_ETA = 1.01
 """An interface that reflects nothing would be none, for metals as well."""
+SHEEN = 0.2
+"""Roughly the albedo of a white sheen."""
 
 
 def eta_of(reflectance: float) -> float:
@@ -24,3 +28,18 @@ def eta_of(reflectance: float) -> float:
 def gloss_of(roughness: Any) -> Any:
     """The gloss of a clear coat of a roughness: `principled` makes alpha = 0.1 + gloss (0.001 - 0.1) of it."""
     return np.clip((COAT - roughness**2) / (COAT - 0.001), 0, 1)
+
+
+def luminance(color: Matrix) -> float:
+    """The luminance of a linear colour, (3,)."""
+    return float(color @ (0.212671, 0.715160, 0.072169))
+
+
+def of_hue(base: Matrix, sheen: Matrix) -> Matrix | None:
+    """A base colour, (3,), as bright as another one, with the hue of a sheen, which `sheen_tint` then gives to it.
+
+    None where the base colour would change by more than what a white sheen would.
+    """
+    found: Matrix = max(luminance(base), 1e-3) * sheen / luminance(sheen)
+    mended = SHEEN * float(np.abs(sheen - sheen.mean()).max())
+    return found if found.max() <= 1 and float(np.abs(found - base).max()) <= mended else None

@@ -84,6 +84,23 @@ def test_the_index_of_refraction_and_the_specular_factor_give_the_reflectance(tm
     assert ((eta - 1) / (eta + 1)) ** 2 == pytest.approx(0.25 / 9)
 
 
+def test_a_sheen_has_its_colour_on_dark_cloth_and_is_white_on_bright_one(tmp_path):
+    file = quad()
+    sheen = np.array([0.05, 0.17, 0.5])
+    file.material["extensions"] = {"KHR_materials_sheen": {"sheenColorFactor": sheen.tolist()}}
+    base = file.material.setdefault("pbrMetallicRoughness", {})
+    base |= {"baseColorFactor": [0.01, 0.01, 0.01, 1], "metallicFactor": 0}
+    node = bsdf(read(file, tmp_path))
+    color = np.array(node["base_color"]["value"])
+    weights = np.array([0.212671, 0.715160, 0.072169])
+    assert node["sheen_tint"] == 1 and color @ weights == pytest.approx(0.01)
+    assert np.allclose(node["sheen"] * color / (color @ weights), sheen)
+    base["baseColorFactor"] = [0.8, 0.7, 0.6, 1]
+    with pytest.warns(UserWarning, match="sheen is replaced by white"):
+        node = bsdf(read(file, tmp_path))
+    assert "sheen_tint" not in node and node["sheen"] == pytest.approx(0.24)
+
+
 def test_a_volume_absorbs_what_its_colour_says(tmp_path):
     file = quad()
     volume = {"thicknessFactor": 1, "attenuationDistance": 2, "attenuationColor": [0.5, 1, 0.25]}
