@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.models.model import Matrix, Model, Part
-from djpt.models.textures import encoded_bytes, values_of_bytes
+from djpt.models.textures import linear, stored
 from djpt.shapes.meshes.data import MeshData, unit
 
 __all__ = ["resolve_coordinates"]
@@ -110,23 +110,6 @@ def averaged(bitmap: dict[str, Any], is_normal: bool, part: Part) -> dict[str, A
 
 
 # ---- pixels ----------------------------------------------------------------------------------
-
-
-def linear(bitmap: dict[str, Any]) -> NDArray[np.float32]:
-    """The linear numbers of a bitmap, (H, W, C)."""
-    pixels: NDArray[Any] = bitmap["bitmap"] if "bitmap" in bitmap else bitmap["data"]
-    if pixels.dtype != np.uint8:
-        return pixels.astype(np.float32)
-    return values_of_bytes(bitmap["raw"]).astype(np.float32)[pixels]
-
-
-def stored(values: NDArray[Any], bitmap: dict[str, Any]) -> dict[str, Any]:
-    """The entries for linear numbers, stored as those of another bitmap are."""
-    if "bitmap" not in bitmap:
-        return {"data": values.astype(np.float32), "raw": True}
-    if bitmap["raw"]:
-        return {"bitmap": np.rint(np.clip(values, 0, 1) * 255).astype(np.uint8), "raw": True}
-    return {"bitmap": encoded_bytes(values), "raw": False}
 
 
 def wrapped(index: NDArray[np.int64], count: int, mode: str) -> NDArray[np.int64]:

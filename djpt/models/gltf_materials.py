@@ -13,8 +13,8 @@ from djpt.models.gltf_file import GltfFile, numbers, scalar
 from djpt.models.gltf_textures import Textures
 from djpt.models.model import Matrix, Model, Part
 from djpt.models.normal_maps import halves, normals_of
-from djpt.models.principled import COAT, SMALLEST_ETA, eta_of, gloss_of, luminance, of_hue
-from djpt.models.textures import LINEAR, Lookup, encoded_bytes
+from djpt.models.principled import COAT, SHEEN, SMALLEST_ETA, eta_of, gloss_of, luminance, of_hue
+from djpt.models.textures import LINEAR, Lookup, encoded_bytes, linear, stored
 from djpt.shapes.meshes.data import MeshData
 
 __all__ = ["Materials"]
@@ -175,7 +175,6 @@ class Materials:
         }
         transmission, clearcoat, sheen = extension("transmission"), extension("clearcoat"), extension("sheen")
         transmits = scalar(transmission.get("transmissionFactor"), 0.0) > 0
-        node["eta"] = self._eta(extension("ior"), extension("specular"), transmits)
         strength = scalar(clearcoat.get("clearcoatFactor"), 0.0)
         if strength > 0:
             node["clearcoat"] = self.textures.channel(clearcoat.get("clearcoatTexture"), 0, strength)
@@ -187,6 +186,7 @@ class Materials:
         color = np.clip(numbers(sheen.get("sheenColorFactor"), (0, 0, 0)), 0, 1)
         if color.any():
             self._add_sheen(node, color, bool(sheen.get("sheenColorTexture")))
+        self._add_eta(node, extension("ior"), extension("specular"), transmits)
         anisotropy = extension("anisotropy")
         if anisotropy:
             self._add_anisotropy(node, anisotropy)
@@ -225,14 +225,10 @@ class Materials:
         node["sheen"] = float(color.mean())
         if color.min() == color.max() and not has_texture:
             return
-        base = node["base_color"]
-        plain = base["type"] == "rgb" and "tint" not in base and not has_texture
-        found = of_hue(np.array(base["value"]), color) if plain else None
-        if found is None:
-            self.model.say("the colour of a sheen is replaced by white of the same strength")
-        else:
-            node["base_color"] = {"type": "rgb", "value": found.tolist()}
+        if not has_texture and take_hue(node, color, SHEEN):
             node |= {"sheen": luminance(color), "sheen_tint": 1.0}
+        else:
+            self.model.say("the colour of a sheen is replaced by white of the same strength")
 
     def _add_anisotropy(self, node: dict[str, Any], anisotropy: dict[str, Any]) -> None:
         strength = float(np.clip(scalar(anisotropy.get("anisotropyStrength"), 0.0), 0, 1))
@@ -246,19 +242,22 @@ class Materials:
         if isinstance(rough, float):
             node["roughness"] = float(min(1.0, math.sqrt(alpha / math.sqrt(ratio))))
 
-    def _eta(self, ior: dict[str, Any], specular: dict[str, Any], transmits: bool) -> float:
-        """The relative index of refraction that gives the reflectance at normal incidence."""
+    def _add_eta(self, node: dict[str, Any], ior: dict[str, Any], specular: dict[str, Any], transmits: bool) -> None:
+        """The relative index of refraction that gives the reflectance at normal incidence, and the hue of that."""
         eta = scalar(ior.get("ior"), 1.5)
         eta = float(np.clip(eta, 1.0, 5.0)) if eta else 5.0  # 0 stands for infinity
-        strength = float(np.clip(scalar(specular.get("specularFactor"), 1.0), 0, 1))
+        strength = float(np.clip(scalar(specular.get("specularFactor"), 1.0), 0, 1)) * ((eta - 1) / (eta + 1)) ** 2
         color = np.clip(numbers(specular.get("specularColorFactor"), (1, 1, 1)), 0, None)
         if specular.get("specularTexture") or specular.get("specularColorTexture"):
             self.model.say("textures of 'KHR_materials_specular' are replaced by its factors")
-        if color.min() < color.max():
-            self.model.say("the colour of a dielectric's reflection is replaced by its mean")
         if transmits:  # the index bends light, too
-            return max(eta, SMALLEST_ETA)
-        return eta_of(((eta - 1) / (eta + 1)) ** 2 * strength * float(color.mean()))
+            node["eta"] = max(eta, SMALLEST_ETA)
+        elif color.min() < color.max() and "sheen_tint" not in node and take_hue(node, color, strength):
+            node |= {"eta": eta_of(strength * luminance(color)), "spec_tint": 1.0}
+        else:
+            if color.min() < color.max():
+                self.model.say("the colour of a dielectric's reflection is replaced by its mean")
+            node["eta"] = eta_of(strength * float(color.mean()))
 
     def _glossy(self, gloss: dict[str, Any], paint: Paint) -> dict[str, Any]:
         """The material of KHR_materials_pbrSpecularGlossiness, as a metallic-roughness one texel by texel."""
@@ -349,6 +348,30 @@ KEEP = ("type", "base_color", "roughness", "eta")
 
 DIELECTRIC = 0.04
 """The reflectance of a dielectric of glTF at normal incidence."""
+
+
+def take_hue(node: dict[str, Any], color: Matrix, albedo: float) -> bool:
+    """Give the base colour the hue of a lobe, to which `principled` then gives that of the base colour.
+
+    False, and nothing is done, where the base colour would change by more than a white lobe would be wrong.
+
+    Args:
+        node: a node of `principled`, which is changed.
+        color: the colour of the lobe, (3,).
+        albedo: roughly that of the lobe if it is white.
+    """
+    base = node["base_color"]
+    if "tint" in base:
+        return False
+    values: Any = linear(base)[..., :3] if base["type"] == "bitmap" else np.array(base["value"])
+    found = of_hue(values, color)
+    changed = np.abs(found - values).reshape(-1, 3).mean(axis=0).max()
+    if found.max() > 1 or changed > albedo * np.abs(color - color.mean()).max():
+        return False
+    node["base_color"] = (
+        {"type": "rgb", "value": found.tolist()} if base["type"] == "rgb" else {**base, **stored(found, base)}
+    )
+    return True
 
 
 def metallic_of(diffuse: Matrix, specular: Matrix) -> tuple[Matrix, Matrix]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from djpt.models.model import Matrix
 
-__all__ = ["COAT", "SMALLEST_ETA", "eta_of", "gloss_of", "luminance", "of_hue"]
+__all__ = ["COAT", "SHEEN", "SMALLEST_ETA", "eta_of", "gloss_of", "luminance", "of_hue"]
 
 COAT = 0.1
 """The largest alpha of the coat of `principled`."""
@@ -35,11 +35,7 @@ def luminance(color: Matrix) -> float:
     return float(color @ (0.212671, 0.715160, 0.072169))
 
 
-def of_hue(base: Matrix, sheen: Matrix) -> Matrix | None:
-    """A base colour, (3,), as bright as another one, with the hue of a sheen, which `sheen_tint` then gives to it.
-
-    None where the base colour would change by more than what a white sheen would.
-    """
-    found: Matrix = max(luminance(base), 1e-3) * sheen / luminance(sheen)
-    mended = SHEEN * float(np.abs(sheen - sheen.mean()).max())
-    return found if found.max() <= 1 and float(np.abs(found - base).max()) <= mended else None
+def of_hue(base: Matrix, lobe: Matrix) -> Matrix:
+    """The colours with the hue of a lobe's colour, (3,), that are nearest to others, (.., 3); none is black."""
+    found: Matrix = np.maximum(base @ lobe / (lobe @ lobe), 1e-3)[..., None] * lobe
+    return found

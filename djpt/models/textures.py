@@ -12,7 +12,7 @@ from djpt.core.transforms import ScalarTransform4f
 from djpt.images.srgb import decoded, encoded
 from djpt.models.model import Matrix, Model
 
-__all__ = ["Bitmaps", "Lookup", "encoded_bytes", "values_of_bytes"]
+__all__ = ["Bitmaps", "Lookup", "encoded_bytes", "linear", "stored"]
 
 PERIODS = 3
 """How often a texture is repeated along one axis if it is clamped along the other."""
@@ -121,6 +121,23 @@ def values_of_bytes(raw: bool) -> Matrix:
 def encoded_bytes(values: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
     """The bytes of sRGB of linear values, clipped to [0, 1]."""
     return np.rint(encoded(np.clip(values, 0, 1)) * 255).astype(np.uint8)
+
+
+def linear(bitmap: dict[str, Any]) -> NDArray[np.float32]:
+    """The linear numbers of a bitmap, (H, W, C)."""
+    pixels: NDArray[Any] = bitmap["bitmap"] if "bitmap" in bitmap else bitmap["data"]
+    if pixels.dtype != np.uint8:
+        return pixels.astype(np.float32)
+    return values_of_bytes(bitmap["raw"]).astype(np.float32)[pixels]
+
+
+def stored(values: NDArray[Any], bitmap: dict[str, Any]) -> dict[str, Any]:
+    """The entries for linear numbers, stored as those of another bitmap are."""
+    if "bitmap" not in bitmap:
+        return {"data": values.astype(np.float32), "raw": True}
+    if bitmap["raw"]:
+        return {"bitmap": np.rint(np.clip(values, 0, 1) * 255).astype(np.uint8), "raw": True}
+    return {"bitmap": encoded_bytes(values), "raw": False}
 
 
 def widened(pixels: NDArray[Any], u: str, v: str) -> tuple[NDArray[Any], str, Matrix]:

@@ -84,6 +84,18 @@ def test_the_index_of_refraction_and_the_specular_factor_give_the_reflectance(tm
     assert ((eta - 1) / (eta + 1)) ** 2 == pytest.approx(0.25 / 9)
 
 
+def test_a_reflection_has_its_colour_on_a_dark_dielectric(tmp_path):
+    file = quad()
+    file.material["extensions"] = {"KHR_materials_specular": {"specularColorFactor": [1, 1, 0]}}
+    base = file.material.setdefault("pbrMetallicRoughness", {})
+    base |= {"baseColorFactor": [0, 0, 0, 1], "metallicFactor": 0}
+    node = bsdf(read(file, tmp_path))
+    color = np.array(node["base_color"]["value"])
+    assert node["spec_tint"] == 1 and color[0] == color[1] > color[2] == 0
+    reflectance = ((node["eta"] - 1) / (node["eta"] + 1)) ** 2 * color / (color @ (0.212671, 0.715160, 0.072169))
+    assert np.allclose(reflectance, [0.04, 0.04, 0])
+
+
 def test_a_sheen_has_its_colour_on_dark_cloth_and_is_white_on_bright_one(tmp_path):
     file = quad()
     sheen = np.array([0.05, 0.17, 0.5])
@@ -93,8 +105,13 @@ def test_a_sheen_has_its_colour_on_dark_cloth_and_is_white_on_bright_one(tmp_pat
     node = bsdf(read(file, tmp_path))
     color = np.array(node["base_color"]["value"])
     weights = np.array([0.212671, 0.715160, 0.072169])
-    assert node["sheen_tint"] == 1 and color @ weights == pytest.approx(0.01)
+    assert node["sheen_tint"] == 1 and 0 < (color @ weights) < 0.01
     assert np.allclose(node["sheen"] * color / (color @ weights), sheen)
+    base["baseColorTexture"] = file.texture(np.uint8([[[9, 9, 9], [40, 40, 40]]]))
+    base["baseColorFactor"] = [1, 1, 1, 1]
+    texels = bsdf(read(file, tmp_path))["base_color"]["bitmap"].astype(int)
+    assert (texels[..., 2] > texels[..., 1]).all() and (texels[..., 1] > texels[..., 0]).all()
+    del base["baseColorTexture"]
     base["baseColorFactor"] = [0.8, 0.7, 0.6, 1]
     with pytest.warns(UserWarning, match="sheen is replaced by white"):
         node = bsdf(read(file, tmp_path))
