@@ -156,6 +156,7 @@ def test_warnings_are_printed_visibly(asked: Asked, tmp_path: Path) -> None:
     )
     text = done.stderr.decode()
     assert "no shape refers to this emitter" in text
+    assert text.startswith("djpt: warning: ") and len(text.splitlines()) == 1  # without the line of the code
     assert_only_shown(text)
     assert r"lamp\x9b2J" in text
 

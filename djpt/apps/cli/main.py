@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import os
 import sys
+import warnings
 from typing import TYPE_CHECKING
 
 import click
@@ -104,6 +105,13 @@ def open_standard_streams() -> None:
             setattr(sys, name, open(os.devnull, mode))  # noqa: SIM115 - as long as the process
 
 
+def one_line(
+    message: Warning | str, category: type[Warning], filename: str, lineno: int, line: str | None = None
+) -> str:
+    """The text of a warning without the line of the code that warns; for `warnings.formatwarning`."""
+    return f"djpt: warning: {message}\n"
+
+
 def main() -> int:
     """Run the command line and return the exit code."""
     try:
@@ -131,6 +139,7 @@ def run() -> None:
     """Run `main`, and end the process with its exit code."""
     open_standard_streams()
     show_all()
+    warnings.formatwarning = one_line
     code = main()
     if code == ExitCode.UNUSABLE:
         # Without an LLVM, Dr.Jit's own shutdown has been seen to hang.
