@@ -18,6 +18,8 @@ Matrix = NDArray[np.float64]
 
 MOST_TRIANGLES = 2**27
 """The most triangles of a model, those of instances included."""
+MOST_DISTANT = 1e30
+"""The largest coordinate of a model, around which a stage still fits into single precision."""
 
 
 @dataclass
@@ -80,7 +82,7 @@ class Model:
         """The smallest and the largest coordinates of all parts, (3,) each.
 
         Raises:
-            SceneError: there is nothing to see.
+            SceneError: there is nothing to see, or it is too far away.
         """
         corners = []
         triangles = 0
@@ -104,4 +106,8 @@ class Model:
         found = np.array([corner for corner in corners if np.isfinite(corner).all()])
         if not len(found):
             raise SceneError(f"{self.name}: no triangles: there is nothing to see")
-        return found.min(axis=0), found.max(axis=0)
+        low, high = found.min(axis=0), found.max(axis=0)
+        reach = float(np.abs([low, high]).max())
+        if reach > MOST_DISTANT:
+            raise SceneError(f"{self.name}: coordinates reach {reach:.3g}; at most {MOST_DISTANT:g}")
+        return low, high

@@ -89,6 +89,11 @@ def test_what_has_no_triangles_is_refused():
         djpt.scene_of((VERTICES, FACES), uq="z")
 
 
+def test_what_is_too_far_away_is_refused():
+    with pytest.raises(djpt.SceneError, match=r"mesh: coordinates reach 1e\+37; at most 1e\+30"):
+        djpt.scene_of((1e37 * VERTICES, FACES))
+
+
 @pytest.mark.parametrize("up", ["x", "y", "z", "-x", "-y", "-z"])
 def test_the_camera_frames_the_model_and_stands_above_the_ground(up):
     description = djpt.models.objects.description_of((VERTICES, FACES), up=up)
