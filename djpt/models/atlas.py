@@ -36,6 +36,8 @@ MOST_LOOKUPS = 2**25
 """The most lookups for an atlas: a texel takes the mean of several where cells are too small for the texture."""
 CHUNK = 2**20
 """The texels that are made at a time."""
+MOST_PERIODS = 16
+"""The most repetitions of a texture along a side of a triangle that get texels of their own."""
 MOST_TRIANGLES = 2 * (LARGEST // SMALLEST_CELL) ** 2
 """The most triangles of a mesh with an atlas."""
 
@@ -202,6 +204,7 @@ class Atlas:
         height, width = bitmap["bitmap" if "bitmap" in bitmap else "data"].shape[:2]
         sides = (uv - np.roll(uv, 1, axis=1)) @ matrix.T * (width, height)
         longest = float(np.sqrt((sides**2).sum(axis=-1)).max(initial=1.0))
+        longest = min(longest, MOST_PERIODS * max(width, height))
         return longest * (SHARP if bitmap.get("filter_type") == "nearest" else 1)
 
     def _mesh(self) -> MeshData:
