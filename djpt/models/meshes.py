@@ -336,16 +336,21 @@ def decoded_bytes(colors: NDArray[Any]) -> NDArray[np.float32]:
     return np.asarray(decoded(np.asarray(colors, np.float32) / 255), np.float32)
 
 
-def of_arrays(positions: Any, faces: Any, name: str, colors: Any = None) -> Model:
-    """The model of vertices (V, 3) and triangles (F, 3); `colors` are linear, (V, 3)."""
+def of_arrays(positions: Any, faces: Any, name: str, colors: Any = None, normals: Any = None) -> Model:
+    """The model of vertices (V, 3) and triangles (F, 3); `colors` are linear, (V, 3), `normals` (V, 3)."""
     from djpt.shapes.meshes.making import of_arrays as checked
 
     data = checked(name, positions, faces)[0]
     model = Model(name)
     node: dict[str, Any] = {"type": "principled", "base_color": grey(0.6)}
+    for what, rows in (("colours", colors), ("normals", normals)):
+        if rows is not None and np.shape(rows)[:1] != (len(data.positions),):
+            raise SceneError(f"{name}: {what} of the shape {np.shape(rows)} for {len(data.positions)} vertices")
     if colors is not None:
         data.attributes["vertex_color"] = np.clip(np.asarray(colors, np.float32)[:, :3], 0, 1)
         node["base_color"] = {"type": "mesh_attribute", "name": "vertex_color"}
+    if normals is not None:
+        data.normals = unit(np.nan_to_num(np.asarray(normals, np.float64)))
     model.nodes["material"] = {"type": "twosided", "bsdf": node}
     model.parts.append(Part(name, data, "material", [np.eye(4)]))
     return model

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Mapping
 from typing import Any
 
@@ -11,9 +12,13 @@ import numpy as np
 from djpt.core.numeric import describe
 from djpt.description.files import Document
 from djpt.errors import SceneError
+from djpt.images.srgb import decoded
 from djpt.models.formats import STAGE, is_model, read_model
 
 __all__ = ["description_of", "scene_of"]
+
+SHAPE_STAGE = ("up", "stage")
+"""Parameters of `djpt.models.stage.around`."""
 
 
 def scene_of(x: Any, **parameters: Any) -> Any:
@@ -47,11 +52,14 @@ def description_of(x: Any, **parameters: Any) -> dict[str, Any]:
         if parameters:
             raise SceneError(f"scene_of: a scene has its own camera and lights; '{next(iter(parameters))}' has no use")
         return x if isinstance(x, Document) else dict(x)
-    from djpt.models.stage import staged
+    from djpt.models.stage import around, staged
 
-    unknown = [name for name in parameters if name not in STAGE]
+    possible = SHAPE_STAGE if isinstance(x, Mapping) else STAGE
+    unknown = [name for name in parameters if name not in possible]
     if unknown:
-        raise SceneError(f"scene_of: unknown parameter '{unknown[0]}' (possible: {', '.join(STAGE)})")
+        raise SceneError(f"scene_of: unknown parameter '{unknown[0]}' (possible: {', '.join(possible)})")
+    if isinstance(x, Mapping):
+        return around(x, **parameters)
     return staged(model_of(x), **parameters)
 
 
@@ -66,7 +74,9 @@ def model_of(x: Any) -> Any:
         return of_arrays(x[0], x[1], "mesh")
     found = of_open3d(x) or of_pyvista(x)
     if found is not None:
-        return of_arrays(*found[:2], type(x).__name__, found[2])
+        return of_arrays(
+            found["positions"], found["faces"], type(x).__name__, found.get("colors"), found.get("normals")
+        )
     data = getattr(x, "data", None)
     if package == "djpt" and callable(data):
         mesh = data()
@@ -80,19 +90,41 @@ def model_of(x: Any) -> Any:
     )
 
 
-def of_open3d(x: Any) -> tuple[Any, Any, Any] | None:
-    """The vertices, triangles and colours of a mesh of Open3D, legacy or tensor; None for others."""
+def of_open3d(x: Any) -> dict[str, Any] | None:
+    """The arrays of a mesh of Open3D, legacy or tensor; None for others."""
     if hasattr(x, "vertices") and hasattr(x, "triangles"):
-        colors = np.asarray(getattr(x, "vertex_colors", ()))
-        return np.asarray(x.vertices), np.asarray(x.triangles), colors if len(colors) else None
+        found = {
+            "colors": np.asarray(getattr(x, "vertex_colors", ())),
+            "normals": np.asarray(getattr(x, "vertex_normals", ())),
+        }
+        return {"positions": np.asarray(x.vertices), "faces": np.asarray(x.triangles)} | used(found)
     if hasattr(x, "vertex") and hasattr(x, "triangle"):
-        return x.vertex["positions"].numpy(), x.triangle["indices"].numpy(), None
+        found = {name: x.vertex[name].numpy() for name in ("colors", "normals") if name in x.vertex}
+        return {"positions": x.vertex["positions"].numpy(), "faces": x.triangle["indices"].numpy()} | used(found)
     return None
 
 
-def of_pyvista(x: Any) -> tuple[Any, Any, Any] | None:
-    """The vertices and triangles of a data set of pyvista; None for others."""
+def of_pyvista(x: Any) -> dict[str, Any] | None:
+    """The arrays of a data set of pyvista; None for others."""
     if not hasattr(x, "extract_surface"):
         return None
-    surface = x.extract_surface().triangulate()
-    return np.asarray(surface.points), np.asarray(surface.faces).reshape(-1, 4)[:, 1:], None
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of defaults that will change
+        surface = x.extract_surface().triangulate()
+    data = getattr(surface, "point_data", {})
+    found = {
+        name: np.asarray(data[key])
+        for name, key in (("colors", "RGB"), ("colors", "RGBA"), ("normals", "Normals"))
+        if key in data
+    }
+    faces = np.asarray(surface.faces).reshape(-1, 4)[:, 1:]
+    return {"positions": np.asarray(surface.points), "faces": faces} | used(found)
+
+
+def used(found: Mapping[str, Any]) -> dict[str, Any]:
+    """The arrays that have rows; colours, bytes or numbers in [0, 1] of sRGB, as linear ones."""
+    result = {name: rows for name, rows in found.items() if len(rows)}
+    if "colors" in result:
+        scale = 255 if result["colors"].dtype == np.uint8 else 1
+        result["colors"] = decoded(np.clip(result["colors"][:, :3] / scale, 0, 1))
+    return result

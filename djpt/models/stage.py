@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -14,7 +15,7 @@ from djpt.errors import SceneError
 from djpt.models.atlas import resolve_coordinates
 from djpt.models.model import Camera, Matrix, Model, Part
 
-__all__ = ["staged"]
+__all__ = ["around", "staged"]
 
 AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1), "-x": (-1, 0, 0), "-y": (0, -1, 0), "-z": (0, 0, -1)}
 
@@ -48,11 +49,8 @@ def staged(
     Raises:
         SceneError: there is nothing to see; no such camera or axis.
     """
-    axis = model.up if up is None else up
-    if axis not in AXES:
-        raise SceneError(f"{model.name}: 'up' must be one of {', '.join(AXES)}, found {axis!r}")
+    turn = upright(axis_of(model.up if up is None else up, model.name))
     resolve_coordinates(model)
-    turn = upright(np.array(AXES[axis], np.float64))
     low, high = model.bounds()
     center, radius = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low)) or 1.0
     has_media = any(part.interior is not None for part in model.parts)
@@ -79,6 +77,23 @@ def staged(
     if stage if stage is not None else not near:
         scene |= surroundings(low, high, turn)
     return scene
+
+
+def around(shape: Mapping[str, Any], *, up: str = "y", stage: bool = True) -> dict[str, Any]:
+    """A scene that shows a shape by its description; arguments as of `staged`.
+
+    Raises:
+        SceneError: it isn't the description of a shape, or infinite; no such axis.
+    """
+    from djpt.description.loader import load_dict
+
+    turn = upright(axis_of(up, "scene_of"))
+    box = load_dict({"type": "scene", "shape": dict(shape)}).bbox()
+    low, high = (np.array(corner, np.float64).ravel() for corner in (box.min, box.max))
+    if not np.isfinite([low, high]).all() or (low > high).any():
+        raise SceneError(f"scene_of: '{shape.get('type')}' has no box that a camera could frame")
+    scene = {"type": "scene", "integrator": {"type": "path", "max_depth": 12}, "sensor": framing(low, high, turn)}
+    return scene | {"shape": dict(shape)} | (surroundings(low, high, turn) if stage else {})
 
 
 # ---- lights ----------------------------------------------------------------------------------
@@ -132,6 +147,13 @@ def dimmed(light: dict[str, Any], factor: float) -> dict[str, Any]:
         return {**light, "scale": factor * float(light.get("scale", 1.0))}
     key = next(key for key in ("irradiance", "intensity", "radiance") if key in light)
     return {**light, key: {**light[key], "value": [factor * x for x in light[key]["value"]]}}
+
+
+def axis_of(up: Any, name: str) -> Matrix:
+    """The axis that points up by its name, (3,)."""
+    if up not in AXES:
+        raise SceneError(f"{name}: 'up' must be one of {', '.join(AXES)}, found {up!r}")
+    return np.array(AXES[up], np.float64)
 
 
 def upright(up: Matrix) -> Matrix:

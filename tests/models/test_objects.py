@@ -64,6 +64,7 @@ def things(tmp_path):
     yield "open3d tensors", OfOpen3DTensors()
     yield "pyvista", OfPyvista()
     yield "description", djpt.cornell_box()
+    yield "shape", {"type": "sphere", "radius": 3}
     yield "Scene", djpt.load_dict(djpt.cornell_box())
 
 
@@ -87,6 +88,25 @@ def test_what_has_no_triangles_is_refused():
         djpt.scene_of(7)
     with pytest.raises(djpt.SceneError, match="unknown parameter 'uq'"):
         djpt.scene_of((VERTICES, FACES), uq="z")
+
+
+def test_meshes_of_others_keep_their_colours_and_normals():
+    class Painted(OfOpen3D):
+        vertex_colors, vertex_normals = np.full((4, 3), 0.5), np.tile([0, 0, 2.0], (4, 1))
+
+    tensors = OfOpen3DTensors()
+    tensors.vertex |= {"colors": SimpleNamespace(numpy=lambda: np.full((4, 3), 128, np.uint8))}
+    surface = OfPyvista()
+    surface.point_data = {"RGB": np.full((4, 3), 128, np.uint8), "Normals": np.tile([0, 0, 1.0], (4, 1))}
+    for x, smooth in ((Painted(), True), (tensors, False), (surface, True)):
+        mesh = djpt.models.objects.description_of(x)["part_0"]["data"]
+        assert np.allclose(mesh.attributes["vertex_color"], 0.2140, atol=3e-3)
+        assert (mesh.normals is not None and (mesh.normals == (0, 0, 1)).all()) == smooth
+
+
+def test_shapes_without_a_box_are_refused():
+    with pytest.raises(djpt.SceneError, match="'plane' has no box"):
+        djpt.scene_of({"type": "plane"})
 
 
 def test_what_is_too_far_away_is_refused():
