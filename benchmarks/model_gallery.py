@@ -83,7 +83,7 @@ MODELS = (
     ),
     Entry("Suzanne", KHRONOS, "Models/Suzanne/glTF/Suzanne.gltf", "Norbert Nopper, UX3D", CC0),
     Entry(
-        *("Teapot", USD, "full_assets/Teapot/Teapot.usd", "Alliance for OpenUSD", APACHE),
+        *("Teapot", USD, "full_assets/Teapot/Teapot.usd", "ASWF USD Working Group", APACHE),
     ),
     Entry(
         *("Spot", "alecjacobson/common-3d-test-models", "data/spot.obj"),
@@ -121,9 +121,9 @@ def page(seconds: dict[str, float], processor: str) -> str:
         "# Models in one line",
         "",
         "Twelve public models, each with the one command that made its picture: camera, sky and ground are those of "
-        "[the stage](guides/models.md#the-stage). Below the command are the processor time of all of it, compilation "
-        f"of kernels included, on {processor}, which several cores divide, who made the model, and its licence; "
-        "pictures of a model are under the licence of the model. "
+        "[the stage](guides/models.md#the-stage), the pictures 768 x 576 pixels at 64 samples, shown smaller. Below "
+        f"each command is its processor time, compilation included, on {processor}; several cores divide it. Then "
+        "follow who made the model, and its licence, which is that of the picture, too. "
         "`python benchmarks/model_gallery.py FOLDER` makes the page.",
     ]
     for entry in MODELS:
@@ -159,7 +159,7 @@ def main() -> None:
         if len(sys.argv) == 2 or entry.title in sys.argv[2:]:
             found["seconds"][entry.title] = round(render(entry, Path(sys.argv[1])), 1)
             print(entry.title, found["seconds"][entry.title], flush=True)
-    kept.write_text(json.dumps(found, indent=1) + "\n")
+            kept.write_text(json.dumps(found, indent=1) + "\n")
     if all(entry.title in found["seconds"] for entry in MODELS):
         PAGE.write_text(page(found["seconds"], found["processor"]))
 
