@@ -51,7 +51,7 @@ def test_all_reachable_sensors_are_tested() -> None:
 @pytest.mark.parametrize("film", FILMS)
 @pytest.mark.parametrize("name", REACHABLE)
 class TestDensity:
-    @pytest.mark.sparse(13)
+    @pytest.mark.sparse(65)
     def test_rays_follow_it(self, name: str, film: str, lens: tuple[float, float]) -> None:
         """By direction; where all rays are parallel, by the place where they start."""
         sensor = sensor_of(name, film)

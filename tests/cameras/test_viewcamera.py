@@ -151,6 +151,7 @@ def test_neutral_entries_change_nothing() -> None:
 
 
 @pytest.mark.parametrize("name", VIEW)
+@pytest.mark.sparse(5)
 def test_rays_follow_all_numbers(name: str) -> None:
     """Derivatives of rays and of places on the film, forwards, against central differences."""
     at, lens = Point2f(*uniform(256)), Point2f(*uniform(256, seed=2))

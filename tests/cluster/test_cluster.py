@@ -224,6 +224,7 @@ def test_a_scheduler_that_says_nothing_is_told(cluster: Cluster, monkeypatch: py
     assert "doesn't answer" in text
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_is_gone_is_told() -> None:
     with distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None, processes=True) as own:
         client = distributed.Client(own, timeout=2)
@@ -348,6 +349,7 @@ def test_errors_name_the_cause(cluster: Cluster) -> None:
         djpt.apps.cluster.gradient(client, box(), {"no.such": np.zeros(3)}, brightness, [])
 
 
+@pytest.mark.slow
 def test_the_command_line(cluster: Cluster, tmp_path: Path) -> None:
     address = cluster.scheduler.scheduler_address
     small = ("cornell_box", "--width", "16", "--spp", "128", "-q", "--target-error", "1e-6")

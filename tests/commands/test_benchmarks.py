@@ -91,6 +91,7 @@ def test_what_rows_have_in_common() -> None:
 # ---- measuring -----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_scene_is_measured(tmp_path: Path) -> None:
     pytest.importorskip("mitsuba")
     (tmp_path / "ball.xml").write_text(SCENE)

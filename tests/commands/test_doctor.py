@@ -63,6 +63,7 @@ def test_without_llvm(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("version", [14, 15, 16])
+@pytest.mark.sparse(3)
 def test_with_an_old_llvm(tmp_path: Path, version: int) -> None:
     library = old_llvm(tmp_path, version)
     done = run_python("-c", DOCTOR, folders=tmp_path)
@@ -73,6 +74,7 @@ def test_with_an_old_llvm(tmp_path: Path, version: int) -> None:
     assert "DRJIT_LIBLLVM_PATH is set to a library that" in done.stdout
 
 
+@pytest.mark.slow
 def test_it_says_why(tmp_path: Path) -> None:
     chosen = run_python("-c", "import os, djpt; print(os.environ['DRJIT_LIBLLVM_PATH'])").stdout.strip()
     assert "DRJIT_LIBLLVM_PATH asks for it" in run_python("-c", DOCTOR, library=chosen).stdout

@@ -87,6 +87,7 @@ def test_every_integrator_is_a_step_or_said_to_be_none() -> None:
     assert max(Counter(step.title for step in STEPS).values()) == 1
 
 
+@pytest.mark.slow
 def test_all_steps_are_measured_at_powers_of_two(ladder: Ladder) -> None:
     assert [found.step for found in ladder.measured] == list(STEPS)
     assert ladder.refused == ()
@@ -258,6 +259,7 @@ def test_names_are_escaped(ladder: Ladder) -> None:
 @pytest.mark.sparse(2)
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.skipif(BROWSER is None, reason="no chromium, chromium-browser or google-chrome on PATH")
+@pytest.mark.slow
 def test_the_page_in_a_browser(text: str, scheme: str, tmp_path: Path) -> None:
     """At 400 pixels: nothing stands out at the side, all images load, the dialog opens, the console stays empty."""
     inside = """<script>
@@ -307,6 +309,7 @@ def run_browser(command: list[str]) -> subprocess.CompletedProcess[str]:
 # ---------------------------------------------------------------- on the command line
 
 
+@pytest.mark.slow
 def test_the_commands_write_what_they_say(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     code, out, err = run("ladder", "cornell_box", "--time", "0.01", "--size", "8")

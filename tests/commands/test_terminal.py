@@ -161,6 +161,7 @@ def test_warnings_are_printed_visibly(asked: Asked, tmp_path: Path) -> None:
     assert r"lamp\x9b2J" in text
 
 
+@pytest.mark.slow
 def test_names_of_parameters(asked: Asked) -> None:
     file = scene_file("d.xml")
     with pytest.warns(UserWarning, match="no shape refers to this emitter"):

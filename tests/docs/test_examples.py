@@ -46,6 +46,7 @@ def recovered(albedo: ModuleType, size: int, **options: Any) -> tuple[float, lis
     return max(float(np.abs(found[key] - truth[key]).max()) for key in albedo.KEYS), losses
 
 
+@pytest.mark.slow
 def test_albedos_are_recovered_from_a_small_picture(albedo: ModuleType) -> None:
     error, losses = recovered(albedo, 48, steps=60)
     assert error < 0.015
@@ -59,6 +60,7 @@ def test_albedos_are_recovered_within_a_hundredth(albedo: ModuleType) -> None:
     assert losses[-1] < losses[0] / 10
 
 
+@pytest.mark.slow
 def test_the_albedo_script_prints_the_loss_and_writes_a_picture(tmp_path: Any) -> None:
     picture = tmp_path / "albedo.png"
     done = run_python(
@@ -69,6 +71,7 @@ def test_the_albedo_script_prints_the_loss_and_writes_a_picture(tmp_path: Any) -
     assert np.array(djpt.read(picture)).shape == (24, 3 * 24, 3)
 
 
+@pytest.mark.slow
 def test_smoke_is_recovered_from_nothing() -> None:
     """In a tiny form: 8^3 densities from 16 x 16 pixels."""
     smoke = load_example("smoke")
@@ -95,6 +98,7 @@ def test_the_smoke_script_prints_the_loss_and_writes_a_picture(tmp_path: Any) ->
     assert np.array(djpt.read(picture)).shape == (2 * 16, 4 * 16, 3)
 
 
+@pytest.mark.slow
 def test_a_pose_is_found_from_a_small_picture() -> None:
     """From nearby; with a picture of 48 x 48 pixels."""
     pose = load_example("pose")
@@ -116,6 +120,7 @@ def test_a_pose_is_found_from_far_away() -> None:
     assert angle < 0.1 and way < 0.005 and length < 0.005
 
 
+@pytest.mark.slow
 def test_a_lamp_is_found_by_its_shadow() -> None:
     lamp = load_example("lamp")
     scene = lamp.load(32)

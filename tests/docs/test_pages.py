@@ -30,7 +30,7 @@ SMALLER = {"docs/guides/albedo-experiments.md": FEW, "docs/gallery.md": FEW}
 pytestmark = pytest.mark.skipif(not PAGES, reason="not a working copy of the repository")
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(11)
 @pytest.mark.parametrize(
     "page", [pytest.param(p, marks=pytest.mark.slow if p in SMALLER else ()) for p in PAGES if snippets(p)]
 )

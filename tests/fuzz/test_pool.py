@@ -31,6 +31,7 @@ def test_time_is_that_of_one_case(pool: Pool) -> None:
     assert [pool.run(Case(busy)).outcome for _ in range(4)] == ["fine"] * 4
 
 
+@pytest.mark.slow
 def test_loops_without_end_hang(pool: Pool) -> None:
     verdict = pool.run(Case("while True: pass"))
     assert (verdict.outcome, verdict.error) == ("hung", "")

@@ -155,6 +155,7 @@ def test_triangles_overlap_boxes_that_they_cut() -> None:
 
 
 @pytest.mark.parametrize("name", ["scattered", "sphere", "giants_among_dwarfs", "far_away"])
+@pytest.mark.sparse(2)
 def test_brute_force_finds_the_hits_of_double_precision(name: str) -> None:
     corners = SOUPS[name]()
     o, d = rays_at(corners, 800)
@@ -176,6 +177,7 @@ def test_brute_force_finds_the_hits_of_double_precision(name: str) -> None:
 
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), count=st.integers(1, 40), flat=st.integers(-1, 2), snap=st.booleans())
+@pytest.mark.slow
 def test_structures_agree_on_whatever_triangles(seed: int, count: int, flat: int, snap: bool) -> None:
     rng = np.random.default_rng(seed)
     corners = rng.normal(size=(count, 3, 3)) * 10 ** rng.uniform(-2, 2, (count, 1, 1))
@@ -194,6 +196,7 @@ def test_structures_agree_on_whatever_triangles(seed: int, count: int, flat: int
         np.testing.assert_array_equal(any_too, np.isfinite(t), err_msg=kind)
 
 
+@pytest.mark.slow
 def test_no_ray_slips_through_a_closed_surface() -> None:
     """From the middle of a sphere, exactly at its vertices and edges."""
     corners = sphere(2000, bumps=0.0)

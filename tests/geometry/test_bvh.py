@@ -137,6 +137,7 @@ def reference_cost(low: NDArray[np.float32], high: NDArray[np.float32]) -> float
 
 
 @pytest.mark.parametrize("name", ["scattered", "sphere", "giants_among_dwarfs", "far_away"])
+@pytest.mark.sparse(4)
 def test_the_sah_tree_is_as_good_as_a_plain_binned_one(name: str) -> None:
     corners = SOUPS[name]()
     assert sah_cost(tree_of(corners)) < 1.02 * reference_cost(*boxes(corners))

@@ -144,6 +144,7 @@ def test_placed_primitives_are_alone_among_triangles(triangles: int, placed: int
 
 
 @pytest.mark.parametrize("count", [3000, 60_000])
+@pytest.mark.sparse(2)
 def test_trees_are_the_same_with_any_number_of_threads(count: int) -> None:
     corners, boxes = sphere(count), boxes_of(20)
     first, *others = (build(corners, boxes, threads) for threads in (1, 2, 4))

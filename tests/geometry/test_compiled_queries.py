@@ -117,6 +117,7 @@ def words(array: Any) -> NDArray[np.uint32]:
 @by_rings
 @pytest.mark.parametrize("count", [10**5, pytest.param(10**7, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("one_sided", [False, True])
+@pytest.mark.sparse(2)
 def test_rings_find_what_searches_one_by_one_find(one_sided: bool, count: int) -> None:
     """The same words: of meshes, instances of them, solids, lights that rays pass, surfaces with one side."""
     rng = np.random.default_rng(4)
@@ -184,6 +185,7 @@ def test_rays_side_by_side_find_what_single_rays_find(width: float) -> None:
 
 
 @pytest.mark.parametrize("search", SEARCHES)
+@pytest.mark.sparse(2)
 def test_solids_and_instances_are_hit_as_by_steps(search: str) -> None:
     ray, results = rays_at_village(30000), []
     for ways in (search, "steps"):
@@ -199,6 +201,7 @@ def test_solids_and_instances_are_hit_as_by_steps(search: str) -> None:
 
 
 @pytest.mark.parametrize("schedule", ["flat", "machine", "wave"])
+@pytest.mark.sparse(2)
 def test_images_are_those_of_steps(schedule: str) -> None:
     """With lights in the tree that camera rays pass through, and shadow rays don't."""
     images = []

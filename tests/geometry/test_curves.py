@@ -108,6 +108,7 @@ def test_linear_curves_are_hulls_of_balls(tmp_path: Path) -> None:
     assert (np.array(scene.ray_test(djpt.Ray3f(Point3f(o), Vector3f(d)))) == hit).all()
 
 
+@pytest.mark.slow
 def test_cubic_curves_are_swept_circles(tmp_path: Path) -> None:
     """Of a hit the circle is known, by v: the point lies in its plane, at its radius."""
     curves = strands()
@@ -240,6 +241,7 @@ def picture(kind: str, path: str, **keys: Any) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.sparse(2)
 def test_images_are_mitsubas(kind: str, tmp_path: Path) -> None:
     pytest.importorskip("mitsuba")
     result = djpt.validation.compare(picture(kind, file_of(strands(), tmp_path)), spp=64, same_seed_spp=0)

@@ -322,6 +322,7 @@ def test_a_shell_of_ones_own() -> None:
 
 
 @pytest.mark.parametrize("way", ["call", "steps"])
+@pytest.mark.sparse(2)
 def test_all_sorts_of_pieces_in_one_scene(way: str, tmp_path: Path) -> None:
     """Curves of both sorts, ellipsoids, shells in an instance, solids and a mesh: each is hit as if it were alone."""
     points = np.column_stack([np.linspace(-1, 1, 8), np.sin(np.arange(8)), np.cos(np.arange(8)), np.full(8, 0.1)])

@@ -261,6 +261,7 @@ def village(folder: Path, **keys: Any) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("rfilter", ["box", "gaussian"])
+@pytest.mark.sparse(2)
 def test_images(folder: Path, rfilter: str) -> None:
     pytest.importorskip("mitsuba")
     description = village(folder, size=(37, 30), rfilter=rfilter)

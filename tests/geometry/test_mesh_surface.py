@@ -287,6 +287,7 @@ def test_edits_that_do_not_fit_are_refused_and_leave_the_mesh_as_it_was(name: st
 
 
 @pytest.mark.parametrize("instanced", [False, True])
+@pytest.mark.sparse(2)
 def test_what_is_read_from_rows_is_what_follows_from_corners(tmp_path: Path, instanced: bool) -> None:
     description = gallery(tmp_path)
     if instanced:

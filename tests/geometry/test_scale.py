@@ -56,6 +56,7 @@ def test_light_depends_on_no_place(name: str) -> None:
 
 
 @pytest.mark.parametrize("walls", ["rectangles", "cube", "mesh"])
+@pytest.mark.sparse(2)
 def test_closed_rooms_let_no_light_in(walls: str) -> None:
     where = places((1.0, 1e-9, 1e12), (1e3, 1e5))
     leaking = [int((image(closed_room(place, walls)).max(axis=2) > 0).sum()) for place in where]
@@ -250,6 +251,7 @@ def test_what_is_per_length_is_converted(name: str, scale: float) -> None:
         ("glow", "ball.interior_medium.emission.value.value", -1),
     ],
 )
+@pytest.mark.sparse(3)
 def test_edits_and_gradients_of_lengths(name: str, key: str, unit: int) -> None:
     """Edits reach what has been converted, and so do gradients, also a second time."""
     images, gradients = [], []

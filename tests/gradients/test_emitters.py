@@ -44,7 +44,7 @@ class EmitterSlopes(Slopes):
 SEEN = [name for name in NAMES if plugin_of(name) != "directionalarea"]
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(6)
 @pytest.mark.parametrize("name", first_of_each(SEEN))
 def test_every_parameter(name: str) -> None:
     slopes, exact = EmitterSlopes(name), {}
@@ -64,7 +64,7 @@ def test_schedules_agree(name: str) -> None:
         assert wave[key] == pytest.approx(slope, rel=1e-3, abs=1e-4 * largest), key
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(6)
 @pytest.mark.parametrize(
     ("name", "key"),
     [

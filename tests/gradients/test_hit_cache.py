@@ -36,6 +36,7 @@ def paths(max_depth: int) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("kind", ["meshes", "longer paths than notes", "instances"])
+@pytest.mark.sparse(3)
 def test_gradients_with_and_without_notes(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if kind == "instances":
         description = instances()

@@ -50,7 +50,7 @@ def test_albedo_and_radiance(rfilter: str, integrator: str) -> None:
     Experiment(description, [ALBEDO, "white.reflectance.value", RADIANCE]).check()
 
 
-@pytest.mark.sparse(5)
+@pytest.mark.sparse(10)
 @pytest.mark.parametrize("integrator", [PRB, {"type": "direct"}, PLAIN], ids=["prb", "direct", "plain"])
 @pytest.mark.parametrize(
     ("light", "name"),
@@ -196,7 +196,7 @@ def two_colors_each(scene: dict[str, Any]) -> list[str]:
     return names
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(6)
 @pytest.mark.parametrize("rfilter", ["box", "gaussian"])
 @pytest.mark.parametrize("edit", [two_colors_each, tiles])
 def test_more_parameters_than_registers(edit: Callable[[Any], list[str]], rfilter: str) -> None:

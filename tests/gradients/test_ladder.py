@@ -50,7 +50,7 @@ class ThreeBounces(Integrator):
 djpt.register_integrator("three_bounces", ThreeBounces)
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(6)
 @pytest.mark.parametrize("rfilter", ["box", "gaussian"])
 @pytest.mark.parametrize("integrator", STEPS, ids=str)
 def test_albedo_and_radiance(integrator: dict[str, Any], rfilter: str) -> None:
@@ -59,7 +59,7 @@ def test_albedo_and_radiance(integrator: dict[str, Any], rfilter: str) -> None:
     Experiment(description, [ALBEDO, "white.reflectance.value", RADIANCE], spp=64).check()
 
 
-@pytest.mark.sparse(2)
+@pytest.mark.sparse(6)
 @pytest.mark.parametrize("integrator", STEPS, ids=str)
 def test_lobes(integrator: dict[str, Any]) -> None:
     """Glass, rough metal, and a surface of two lobes; their choice doesn't depend on the colours, as FD needs it."""

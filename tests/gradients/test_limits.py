@@ -129,6 +129,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("kind", "plugin"), CASES)
+@pytest.mark.sparse(3)
 def test_ends_of_ranges(kind: str, plugin: str) -> None:
     verdicts = []
     for limits in limits_of(*scene_of(kind, plugin), spp=4096 if plugin == "heterogeneous" else 512):
@@ -141,6 +142,7 @@ def test_ends_of_ranges(kind: str, plugin: str) -> None:
     assert all(good for good, _ in verdicts), "\n".join(text for good, text in verdicts if not good)
 
 
+@pytest.mark.slow
 def test_wrong_derivatives_fail() -> None:
     """The test's power."""
     (limits,) = limits_of(*scene_of("bsdf", "diffuse"))

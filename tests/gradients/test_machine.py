@@ -60,6 +60,7 @@ SLOW = ("gaussian", "crop")
 
 
 @pytest.mark.parametrize("kind", [pytest.param(k, marks=pytest.mark.slow if k in SLOW else ()) for k in SCENES])
+@pytest.mark.sparse(3)
 def test_reverse_forward_and_differences(folder: Path, kind: str) -> None:
     scene = djpt.load_dict(gallery(folder, **{"size": (24, 19), "integrator": PRB, **SCENES[kind]}))
     machine, flat = loss(scene, NAMES, "machine"), loss(scene, NAMES, "flat")
@@ -83,7 +84,7 @@ def test_uv_textures_beside_parameters(folder: Path) -> None:
     same(loss(scene, names, "machine").gradients(), loss(scene, names, "flat").gradients(), 2e-3)
 
 
-@pytest.mark.sparse(5)
+@pytest.mark.sparse(10)
 @pytest.mark.parametrize("size", [(1, 1), (3, 2), (37, 5)])
 @pytest.mark.parametrize("rfilter", ["box", "gaussian"])
 def test_small_images_and_sample_counts(folder: Path, size: tuple[int, int], rfilter: str) -> None:
@@ -115,6 +116,7 @@ def bright_room(folder: Path, **keys: Any) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("depth", [-1, 65, *(pytest.param(n, marks=pytest.mark.slow) for n in (64, 90))])
+@pytest.mark.sparse(2)
 def test_paths_longer_than_what_is_noted(folder: Path, depth: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Beyond `NOTED` vertices the second walk asks for the visibility of lights again."""
     white, light = "white.reflectance.value", "light.emitter.radiance.value"

@@ -164,7 +164,7 @@ def lobes(bsdf: Any) -> list[bool]:
     ]
 
 
-@pytest.mark.sparse(6)
+@pytest.mark.sparse(54)
 @pytest.mark.parametrize("name", cases())
 def test_every_parameter_of_a_bsdf(name: str) -> None:
     slopes = BSDFSlopes(name)
@@ -228,7 +228,7 @@ class ImageSlopes(Slopes):
 LONG = ("blendbsdf", "hair", "principled", "principledthin", "roughplastic")
 
 
-@pytest.mark.sparse(8)
+@pytest.mark.sparse(24)
 @pytest.mark.parametrize("name", first_of_each(NAMES, LONG))
 def test_every_parameter_in_an_image(name: str) -> None:
     slopes, exact = ImageSlopes(name), {}
@@ -237,7 +237,7 @@ def test_every_parameter_in_an_image(name: str) -> None:
     assert all(good for good, _ in verdicts), "\n".join(text for good, text in verdicts if not good)
 
 
-@pytest.mark.sparse(9)
+@pytest.mark.sparse(36)
 @pytest.mark.parametrize("name", first_of_each(NAMES))
 def test_schedules_agree(name: str) -> None:
     """The same samples in another order."""

@@ -23,6 +23,7 @@ def test_no_derivative_is_wrong(label: str) -> None:
 
 
 @pytest.mark.parametrize("label", QUICK)
+@pytest.mark.sparse(3)
 def test_derivatives_are_right(label: str) -> None:
     outcome = CELLS[label].measured()
     assert outcome.verdict == "right", outcome

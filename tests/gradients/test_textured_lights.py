@@ -53,7 +53,7 @@ def lit(
     return Loss(djpt.load_dict(description), [KEY], WEIGHTS, spp=spp, **options)
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(9)
 @pytest.mark.parametrize("kind", FILTERS)
 @pytest.mark.parametrize("shape", SHAPES)
 def test_by_differences(shape: str, kind: str) -> None:
@@ -81,6 +81,7 @@ def test_schedules_agree() -> None:
 
 
 @pytest.mark.parametrize("kind", FILTERS)
+@pytest.mark.sparse(2)
 def test_by_every_texel(kind: str) -> None:
     """Images are linear in texels: the derivative by one is the image that it makes alone, also if it is black now."""
     texels = TEXELS.copy()

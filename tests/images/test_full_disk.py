@@ -108,6 +108,7 @@ def test_streams(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", ["gif", "mp4"])
+@pytest.mark.sparse(2)
 def test_movies(suffix: str, tmp_path: Path) -> None:
     if suffix == "mp4":
         pytest.importorskip("imageio_ffmpeg")

@@ -181,7 +181,7 @@ def compared(scene: str, name: str, size: int, spp: int) -> list[TestResult]:
 QUICK = [pytest.param(scene, marks=() if scene == "glass and metal" else pytest.mark.slow) for scene in SCENES]
 
 
-@pytest.mark.sparse(10)
+@pytest.mark.sparse(30)
 @pytest.mark.parametrize("name", STEPS)
 @pytest.mark.parametrize("scene", QUICK)
 def test_small_images(scene: str, name: str) -> None:
@@ -198,6 +198,7 @@ def test_two_million_samples(scene: str, name: str) -> None:
         assert result.passed, result
 
 
+@pytest.mark.slow
 def test_one_bounce_less_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(STEPS, "short", Step("path", keys={"max_depth": 6}))
     assert not all(result.passed for result in compared("furnace", "short", 32, 512))

@@ -33,7 +33,7 @@ LIT = first_of_each(name for name in NAMES if plugin_of(name) not in ("direction
 FURTHER = [name for name in NAMES if plugin_of(name) in ("spot", "projector")]
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(6)
 @pytest.mark.parametrize("name", [*LIT, *(pytest.param(name, marks=pytest.mark.slow) for name in FURTHER)])
 def test_lights(name: str) -> None:
     check(floor_scene({"light": entry(name)}, size=16))
@@ -72,6 +72,7 @@ def test_sensors(name: str) -> None:
 
 
 @pytest.mark.parametrize("border", [False, True])
+@pytest.mark.sparse(2)
 def test_filters(border: bool) -> None:
     """At the border, too, whether samples are taken beyond it or not."""
     scene = floor_scene(size=16)

@@ -66,6 +66,7 @@ def without_lamps(scene: dict[str, Any]) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", [pytest.param(name, marks=() if name == "a cube of fog" else slow) for name in SCENES])
+@pytest.mark.slow
 def test_scenes(name: str) -> None:
     scene = SCENES[name]()
     where = without_lamps(scene)

@@ -77,7 +77,7 @@ CUT_OFF = [
 ]
 
 
-@pytest.mark.sparse(13)
+@pytest.mark.sparse(52)
 @pytest.mark.parametrize(("name", "integrator", "depth"), CUT_OFF, ids=str)
 def test_paths_end(name: str, integrator: Keys, depth: int) -> None:
     """The light of paths of at most `depth` edges."""
@@ -301,7 +301,7 @@ def those_that_see(factor: Callable[[Array, Array], Array]) -> list[Keys]:
     return [*BY_CHANCE, *BY_LIGHT_SAMPLES, *more]
 
 
-@pytest.mark.sparse(16)
+@pytest.mark.sparse(32)
 @pytest.mark.parametrize(
     ("factor", "integrator"),
     [(factor, integrator) for factor in LAMPS for integrator in those_that_see(factor)],

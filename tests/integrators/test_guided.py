@@ -62,7 +62,7 @@ def test_octahedron() -> None:
     assert float(dr.mean(spread)[0]) * 4 == pytest.approx(4 * np.pi, rel=5e-3)
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(6)
 @pytest.mark.parametrize("side", range(SIDES))
 def test_density_of_a_guide(side: int) -> None:
     """It integrates to 1, and samples follow it; where nothing is known no guide is followed."""
@@ -99,6 +99,7 @@ def test_cells_and_leaves() -> None:
     assert outside == cells.at(Point3f(0, 1, 0.5), Normal3f(0, 0, -1))[0] < cells.count
 
 
+@pytest.mark.slow
 def test_the_mixture_of_guide_and_material() -> None:
     """The directions of a vertex follow the density that it states, which integrates to 1; weights are value / density.
 
@@ -152,6 +153,7 @@ def test_materials(name: str) -> None:
 
 
 @pytest.mark.parametrize("keys", [{"share": 0.9}, {"emitter_choice": "power", "hide_emitters": True}], ids=str)
+@pytest.mark.sparse(2)
 def test_parameters(keys: dict[str, Any]) -> None:
     """Two lamps, one of them a point."""
     lights = {"lamp": floor_scene()["lamp"], "point": {"type": "point", "position": [1, 3, 1]}}

@@ -54,6 +54,7 @@ def shiny(scene: dict[str, Any]) -> dict[str, Any]:
 
 @pytest.mark.parametrize("integrator", NAIVE, ids=str)
 @pytest.mark.parametrize("materials", [pytest.param("diffuse", marks=pytest.mark.slow), "shiny"])
+@pytest.mark.sparse(3)
 def test_same_mean_as_path(integrator: dict[str, Any], materials: str) -> None:
     big = {"type": "sphere", "center": [-1, 3, 1], "radius": 1.2, "emitter": {"type": "area", "radiance": 3.0}}
     description = floor_scene({"big": big}, size=16)

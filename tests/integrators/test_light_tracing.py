@@ -80,7 +80,7 @@ def assert_equal_means(a: np.ndarray, b: np.ndarray) -> None:
         assert abs(x.mean() - y.mean()) < 5 * error + 1e-7
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(6)
 @pytest.mark.parametrize("name", first_of_each(name for name in NAMES if plugin_of(name) != "directionalarea"))
 def test_same_mean_as_path(name: str) -> None:
     scene = floor_scene({"light": entry(name)}, size=16)
@@ -88,7 +88,7 @@ def test_same_mean_as_path(name: str) -> None:
     assert_equal_means(images(scene, light, 256), images(scene, {"type": "path", "max_depth": 4}, 128))
 
 
-@pytest.mark.sparse(4)
+@pytest.mark.sparse(12)
 @pytest.mark.parametrize("rfilter", ["box", "gaussian", "mitchell"])
 @pytest.mark.parametrize("sensor", SENSORS, ids=lambda s: s["type"])
 def test_sensors_and_filters(rfilter: str, sensor: dict[str, Any]) -> None:
@@ -189,6 +189,7 @@ def test_collimated_light_is_shown() -> None:
 
 
 @pytest.mark.parametrize("hide_emitters", [False, True])
+@pytest.mark.sparse(2)
 def test_a_lamp_hides_what_is_behind_it(hide_emitters: bool) -> None:
     """The only lamp, before a ceiling that it doesn't light; hidden lamps hide nothing and reflect nothing."""
     scene = box(16)
@@ -213,6 +214,7 @@ def test_walls_hide_what_is_inside() -> None:
     assert images(scene, light, 16, 1).max() == 0
 
 
+@pytest.mark.slow
 def test_a_lamp_in_coloured_glass() -> None:
     """Light fades from where it starts; the glass bends nothing, so the lamp's flux is seen on the floor."""
     lamp = {"type": "sphere", "center": [-0.9, 0, 0.1], "radius": 0.2, "emitter": {"type": "area", "radiance": 60.0}}

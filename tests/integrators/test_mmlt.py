@@ -29,6 +29,7 @@ def check(scene: dict[str, Any], depth: int = 4, spp: int = SPP, other: str = "p
     assert_equal_means(ours, images(scene, {"type": other, "max_depth": depth, **hide}, spp, 100))
 
 
+@pytest.mark.slow
 def test_lamps_the_sky_and_a_point() -> None:
     lights = {
         "sky": {"type": "constant", "radiance": 0.3},
@@ -142,6 +143,7 @@ def test_small_steps_are_symmetric_and_keep_numbers_uniform() -> None:
 # ---------------------------------------------------------------- contracts
 
 
+@pytest.mark.slow
 def test_image_is_the_same_for_any_threads_and_passes() -> None:
     scene, plugin = djpt.load_dict(box(32, "gaussian")), djpt.load_dict({"type": "mmlt", "max_depth": 5})
 

@@ -29,6 +29,7 @@ def moment(**nested: Any) -> dict[str, Any]:
     ],
     ids=["direct", "path", "two"],
 )
+@pytest.mark.sparse(2)
 def test_the_same_channels_and_pixels_as_in_mitsuba(integrator: dict[str, Any]) -> None:
     mi = pytest.importorskip("mitsuba")
     description = box(48, "box", integrator)

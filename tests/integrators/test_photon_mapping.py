@@ -126,6 +126,7 @@ def test_coverage_and_hidden_lamps_are_those_of_path() -> None:
 # ---------------------------------------------------------------- the radius
 
 
+@pytest.mark.slow
 def test_caustic_of_a_parabolic_mirror() -> None:
     """Extrapolated to the radius 0 from two radii, since the blur goes with the radius' square.
 
@@ -174,6 +175,7 @@ def mirrored_lamp(extent: float = 50.0, size: int = 16, wall: float = 1.0) -> di
 
 
 @pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.sparse(2)
 def test_point_light_beside_a_mirror(kind: str) -> None:
     """The light and its mirror image: inverse squares and cosines."""
     half = 3 * math.tan(math.radians(15))
@@ -258,6 +260,7 @@ def test_edges_are_not_dark() -> None:
 
 @pytest.mark.parametrize("radius", [0.1, 0.0])  # 0: the default
 @pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.sparse(2)
 def test_image_is_the_same_for_any_threads_passes_and_memory(
     kind: str, radius: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:

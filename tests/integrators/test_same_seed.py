@@ -30,12 +30,13 @@ def share(description: dict[str, Any], spp: int, tolerance: float, seeds: int = 
 
 @pytest.mark.parametrize("rr_depth", [5, 1000])
 @pytest.mark.parametrize("spp", [4, 16])
+@pytest.mark.sparse(4)
 def test_box_filter(spp: int, rr_depth: int) -> None:
     path = {"type": "path", "max_depth": 8, "rr_depth": rr_depth}
     assert share(box(128, "box", path), spp, 1e-3, seeds=2) >= 0.999
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(9)
 @pytest.mark.parametrize("rr_depth", [5, 1000])
 @pytest.mark.parametrize("spp", [4, 16])
 @pytest.mark.parametrize("rfilter", ["gaussian", "tent"])
@@ -196,6 +197,7 @@ def mirrored(*names: str, flip: bool) -> Edit:
 
 @pytest.mark.parametrize("flip", [False, True], ids=["", "flipped"])
 @pytest.mark.parametrize("integrator", [PATH, {"type": "direct"}], ids=["path", "direct"])
+@pytest.mark.sparse(2)
 def test_mirrored_shapes(integrator: dict[str, Any], flip: bool) -> None:
     overlapping(box(64, "box", integrator, mirrored("small-box", "back", flip=flip)))
 

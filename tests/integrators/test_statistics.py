@@ -23,7 +23,7 @@ QUICK: list[tuple[str, dict[str, Any], Edit | None]] = [
 ]
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(6)
 @pytest.mark.parametrize(("rfilter", "integrator", "edit"), QUICK, ids=lambda x: getattr(x, "__name__", str(x)))
 def test_small_images(rfilter: str, integrator: dict[str, Any], edit: Edit | None) -> None:
     result = compare(box(64, rfilter, integrator, edit), spp=128, same_seed_spp=0)
@@ -42,6 +42,7 @@ def test_estimators_agree() -> None:
     assert result.passed, result
 
 
+@pytest.mark.slow
 def test_a_wrong_image_is_noticed() -> None:
     """The comparison's power: 2 % of one material, or three bounces too few."""
     good, bad = box(64, "box", PATH), box(64, "box", PATH)

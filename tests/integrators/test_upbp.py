@@ -112,6 +112,7 @@ def test_grid_finds_what_rays_meet(length: float, radius: float) -> None:
     ],
     ids=str,
 )
+@pytest.mark.slow
 def test_beam_scattered_once(keys: dict[str, bool], sigma_t: tuple[float, ...]) -> None:
     """The light of a beam on its way up, scattered to the side, and what the fog on both ways leaves of it."""
     scene = beam_in_fog(fog(colour(*sigma_t), colour(0.9, 0.5, 0.2)))

@@ -73,6 +73,7 @@ def test_each_emitter_can_be_chosen_where_it_shines() -> None:
 
 @pytest.mark.sparse(3)
 @pytest.mark.parametrize("integrator", ["path", "prb", "direct"])
+@pytest.mark.slow
 def test_means_do_not_depend_on_the_choice(integrator: str) -> None:
     lights = everything() if integrator == "path" else lamps()
     scene = djpt.load_dict(floor_scene(lights, size=24))

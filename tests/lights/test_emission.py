@@ -164,7 +164,7 @@ class TestEmission:
             close = np.isclose(wide(found), wide(drawn), rtol=5e-3, atol=1e-3 * wide(drawn).max())
             assert close[same].mean() > 0.98
 
-    @pytest.mark.sparse(16)
+    @pytest.mark.sparse(32)
     def test_directions_follow_the_density(self, source: dict[str, Any] | str) -> None:
         scene = scene_of(source)
         emitter, es = scene.emitter_ptr(UInt32(0)), emitted(scene, COUNT, seed=4)

@@ -12,7 +12,7 @@ from tests.kit.renders import ours, theirs
 pytest.importorskip("mitsuba")
 
 
-@pytest.mark.sparse(4)
+@pytest.mark.sparse(16)
 @pytest.mark.parametrize("name", [name for name in NAMES if name not in UNLIKE_MITSUBA])
 def test_equal_pixels(name: str) -> None:
     scene = floor_scene({"light": entry(name)})

@@ -61,7 +61,7 @@ def scene_of(light: dict[str, Any] | str) -> Any:
 
 @pytest.mark.parametrize("light", lights())
 class TestDirections:
-    @pytest.mark.sparse(14)
+    @pytest.mark.sparse(42)
     def test_directions_follow_the_density(self, light: dict[str, Any] | str) -> None:
         """Of the directions that bring light: what light sampling draws is what a ray in that direction finds."""
         scene = scene_of(light)

@@ -100,7 +100,7 @@ SMOOTH = ("rectangle", "flipped rectangle", "nearest", "to_uv", "cube", "mesh")
 """Their densities have no poles, as those of curved surfaces have where these are seen from the side."""
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(6)
 @pytest.mark.parametrize("name", SMOOTH)
 def test_directions_follow_the_density(name: str) -> None:
     scene = lit(light=LIGHTS[name])

@@ -48,7 +48,7 @@ def ended(work: str, seconds: float, folder: Path) -> tuple[int, str, str]:
     return done.returncode, done.stdout, done.stderr
 
 
-@pytest.mark.sparse(2)
+@pytest.mark.sparse(4)
 @pytest.mark.parametrize("name", WORK)
 def test_a_process_ends_while_a_daemon_thread_renders(name: str, tmp_path: Path) -> None:
     for seconds in (0.0, 0.05, 0.2):
@@ -56,6 +56,7 @@ def test_a_process_ends_while_a_daemon_thread_renders(name: str, tmp_path: Path)
 
 
 @pytest.mark.parametrize("wait", ["queue.Queue().get()", "time.sleep(1000)"])
+@pytest.mark.sparse(2)
 def test_nobody_waits_for_a_thread_that_waits(wait: str, tmp_path: Path) -> None:
     before = time.perf_counter()
     work = f"np.array(djpt.render(scene, spp=1)); begun.set(); {wait}"

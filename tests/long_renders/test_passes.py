@@ -35,7 +35,7 @@ def last(scene: Scene, **options: Any) -> djpt.Accumulation:
     return result
 
 
-@pytest.mark.sparse(4)
+@pytest.mark.sparse(8)
 @pytest.mark.parametrize("sampler", SAMPLERS)
 @pytest.mark.parametrize("rfilter", ["box", "gaussian"])
 def test_going_on_gives_the_bits_of_a_longer_render(sampler: str, rfilter: str) -> None:

@@ -88,6 +88,7 @@ INSIDE: dict[str, Any] = {
 
 @pytest.mark.parametrize("origin", [(0, 0, 6), (0, 0, 1.5)], ids=["outside", "inside"])
 @pytest.mark.parametrize("inside", [{}, INSIDE], ids=["clear", "filled"])
+@pytest.mark.sparse(4)
 def test_as_an_absorbing_medium(inside: dict[str, Any], origin: Any) -> None:
     """Mitsuba's volumetric path tracer with a medium that doesn't scatter."""
     mi = pytest.importorskip("mitsuba")

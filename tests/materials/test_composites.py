@@ -255,7 +255,7 @@ def slopes(bsdf: dict[str, Any], name: str, h: float, spp: int) -> tuple[float, 
 DULL = {"type": "conductor", "specular_reflectance": 0.6}
 
 
-@pytest.mark.sparse(4)
+@pytest.mark.sparse(8)
 @pytest.mark.parametrize(
     ("description", "name"),
     [

@@ -19,7 +19,7 @@ FEWER = {"hair-clear": 0.88, "hair-dyed": 0.92}
 """Shares of equal pixels below 95 %: Mitsuba samples light that is reflected often within hair around another cone."""
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(9)
 @pytest.mark.parametrize("name", first_of_each(SHARED))
 def test_equal_pixels(name: str) -> None:
     image, reference = ours(ball(bsdf(name)), 8, 1), theirs(ball(bsdf(name)), 8, 1)
@@ -56,6 +56,7 @@ def verdict(name: str, size: int, spp: int) -> Any:
 
 
 @pytest.mark.parametrize("name", QUICK)
+@pytest.mark.sparse(4)
 def test_small_images(name: str) -> None:
     result = verdict(name, 32, 256)
     assert result.passed, result

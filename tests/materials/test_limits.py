@@ -57,7 +57,7 @@ DIRECTIONS = np.random.default_rng(5).normal(size=(2, 3, COUNT))
 DIRECTIONS /= np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(15)
 @pytest.mark.parametrize("plugin", sorted({node["type"] for node in CASES.values()}))
 def test_nothing_is_negative(plugin: str) -> None:
     rng = np.random.default_rng(7)

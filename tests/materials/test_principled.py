@@ -173,7 +173,7 @@ ENDS: list[dict[str, Any]] = [
 ]  # fmt: skip
 
 
-@pytest.mark.sparse(4)
+@pytest.mark.sparse(24)
 @pytest.mark.parametrize("color", [0.0, 1.0, [1.0, 0.0, 0.0]])
 @pytest.mark.parametrize("values", ENDS)
 def test_nothing_is_undefined_at_the_ends(values: dict[str, Any], color: Any) -> None:
@@ -183,7 +183,7 @@ def test_nothing_is_undefined_at_the_ends(values: dict[str, Any], color: Any) ->
     stays_finite({"type": "principled", **on, "base_color": base_color})
 
 
-@pytest.mark.sparse(2)
+@pytest.mark.sparse(4)
 @pytest.mark.parametrize("eta", [1e-3, 1.0, 20.0])
 def test_nothing_is_undefined_for_odd_interfaces(eta: float) -> None:
     values = {key: value for key, value in EVERYTHING.items() if key != "specular"}

@@ -118,7 +118,7 @@ def test_both_sides_are_alike() -> None:
     np.testing.assert_array_equal(one, other)
 
 
-@pytest.mark.sparse(5)
+@pytest.mark.sparse(10)
 @pytest.mark.parametrize("color", [0.0, 1.0])
 @pytest.mark.parametrize("eta", [1e-3, 1.0, 20.0])
 @pytest.mark.parametrize("share", [0.0, 0.5, 1.0])

@@ -156,7 +156,7 @@ def test_reciprocity_of_glass(mode: str) -> None:
     np.testing.assert_allclose(forward * index**2, reverse, rtol=1e-3, atol=1e-5)
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(6)
 @pytest.mark.parametrize("wi", [(0, 0, 1), (0.6, -0.3, 0.5), (0.9, 0.4, 0.1), (0.3, 0.5, -0.8)])
 @pytest.mark.parametrize("keys", [{}, {"distribution": "ggx", "nonlinear": True}, {"sample_visible": False}])
 def test_rough_plastic_is_sampled_by_its_density(keys: dict[str, Any], wi: Any) -> None:

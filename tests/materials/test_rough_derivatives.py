@@ -104,7 +104,7 @@ def test_derivative_of_the_mirror() -> None:
     np.testing.assert_allclose(change, quotient(lambda x: mirror(1.5 + x), 0.01), rtol=2e-3, atol=1e-4)
 
 
-@pytest.mark.sparse(2)
+@pytest.mark.sparse(6)
 @pytest.mark.parametrize(
     ("bsdf", "key", "value", "h"),
     [

@@ -144,6 +144,7 @@ def test_the_derivative_by_the_extinction_of_a_glowing_medium() -> None:
 
 
 @pytest.mark.parametrize("sigma", [(0.7,), (0.4, 0.7, 1.5)], ids=["grey", "coloured"])
+@pytest.mark.sparse(2)
 def test_derivatives_by_glowing_smoke(sigma: tuple[float, ...]) -> None:
     """By all texels of extinction and emission, which are the same everywhere: closed forms."""
     s, heat = np.array(sigma), np.array([0.5, 1.0, 2.0])

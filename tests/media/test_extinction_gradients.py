@@ -80,7 +80,7 @@ def means(scene: Any, key: str, value: np.ndarray, first_seed: int, spp: int = 4
     return np.array([np.array(djpt.render(scene, spp=spp, seed=first_seed + k), np.float64).mean() for k in range(6)])
 
 
-@pytest.mark.sparse(2)
+@pytest.mark.sparse(4)
 @pytest.mark.parametrize("density", [0, 1e-30, 1e-10, 1e-6, 1e-4])
 def test_without_matter(density: float) -> None:
     """Hardly any density: more takes light away in proportion to 1 - albedo, since the sky is equal everywhere."""
@@ -215,6 +215,7 @@ def test_an_edit_compiles_no_kernel() -> None:
     assert np.array(medium.get_majorant(djpt.MediumInteraction3f()))[0] == pytest.approx(data.max() * 9, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_integrators_of_scripts() -> None:
     """One path per lane, with the paths and so the noise of its own: the same derivatives, in both modes."""
     data = with_holes()

@@ -37,6 +37,7 @@ def in_cube(medium: dict[str, Any], max_depth: int = -1, place: Any = None) -> d
 
 
 @pytest.mark.parametrize("channels", [1, 3])
+@pytest.mark.sparse(2)
 def test_furnace(channels: int) -> None:
     """What only scatters is invisible."""
     means = np.array([ours(in_cube(smoke(grid(channels), 1.0)), spp=128, seed=s).mean() for s in range(8)])

@@ -78,6 +78,7 @@ def test_single_scattering_in_a_slab() -> None:
     ids=["grey", "coloured"],
 )
 @pytest.mark.parametrize("bsdf", [NULL, GLASS], ids=["null", "glass"])
+@pytest.mark.sparse(2)
 def test_same_seed(medium: dict[str, Any], bsdf: dict[str, Any]) -> None:
     """Without shadow rays through media, whose transmittance Mitsuba estimates, images are equal."""
     scene = lit_ball(medium, bsdf, max_depth=12, rr_depth=3, lamp=LAMP)
@@ -118,6 +119,7 @@ def test_schedules_agree() -> None:
 
 
 @pytest.mark.parametrize("gap", [0.02, -0.3], ids=["beside", "inside"])
+@pytest.mark.sparse(2)
 def test_light_sampling_changes_nothing_but_noise(gap: float) -> None:
     """A lamp just outside of the fog: most shadow rays leave it at a grazing angle."""
     means, errors = [], []
@@ -229,6 +231,7 @@ def test_gradients_of_walls_behind_fog() -> None:
 
 
 @pytest.mark.parametrize("name", ["albedo", "sigma_t"])
+@pytest.mark.sparse(2)
 def test_gradients(name: str) -> None:
     """Path replay against differences, of a medium whose light is sampled; the derivative of the mean over images."""
     scene = djpt.load_dict(foggy_room(fog(0.8, 0.6), size=8))

@@ -266,6 +266,7 @@ def test_layers_and_textures_outside_of_the_folder_are_not_read(tmp_path):
 @pytest.mark.parametrize(
     ("suffix", "data"), [("usd", b""), ("usda", b"#usda 1.0\ndef"), ("usdc", b"PXR-USDC" + bytes(80)), ("usdz", b"PK")]
 )
+@pytest.mark.sparse(4)
 def test_damaged_files_are_errors(tmp_path, suffix, data):
     (tmp_path / f"a.{suffix}").write_bytes(data)
     with pytest.raises(djpt.DjptError, match=f"a.{suffix}"):

@@ -58,6 +58,7 @@ def moment(weight: Any) -> float:
         ("times", 1, moment(lambda t: -WAY * t)),
     ],
 )
+@pytest.mark.sparse(3)
 def test_keyframes_of_a_square_that_passes(part: str, entry: int, expected: float) -> None:
     scene = bright(passing())
     params = djpt.traverse(scene)
@@ -72,6 +73,7 @@ def test_keyframes_of_a_square_that_passes(part: str, entry: int, expected: floa
     assert found == pytest.approx(expected, rel=0.03, abs=0.003)
 
 
+@pytest.mark.slow
 def test_forward_mode_is_the_adjoint_of_reverse_mode() -> None:
     scene = bright({0: T().scale(0.4), 1: T().rotate([0, 0, 1], 40).scale(0.5)})
     params = djpt.traverse(scene)
@@ -214,6 +216,7 @@ def test_a_speed_of_rotation_is_found_from_one_blurred_picture() -> None:
 @pytest.mark.parametrize(
     ("name", "weight"), [("shutter_open", lambda t: 1.0 + 0 * t), ("shutter_open_time", lambda t: t)]
 )
+@pytest.mark.sparse(2)
 def test_times_of_the_shutter(name: str, weight: Any) -> None:
     """A square goes on by its speed times the change of the moment; the shutter covers the middle of its way."""
     scene = bright(passing(), sensor={**SENSOR, "shutter_open": 0.2, "shutter_close": 0.8})

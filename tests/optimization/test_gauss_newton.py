@@ -157,6 +157,7 @@ def test_messages_of_the_optimizer() -> None:
 
 
 @pytest.mark.parametrize("loss", RESIDUALS)
+@pytest.mark.sparse(2)
 def test_an_albedo_is_found_in_eight_steps(loss: str) -> None:
     scene = floor()
     targets = pictures(scene)

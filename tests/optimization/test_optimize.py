@@ -58,7 +58,7 @@ def pictures(scene: djpt.Scene, spp: int = 256) -> list[Any]:
     return [djpt.render(scene, sensor=view, spp=spp, seed=100 + view) for view in (0, 1)]
 
 
-@pytest.mark.sparse(2)
+@pytest.mark.sparse(4)
 @pytest.mark.parametrize("loss", LOSSES)
 def test_an_albedo_is_found(loss: str) -> None:
     scene = floor()
@@ -93,6 +93,7 @@ def texture(values: np.ndarray) -> dict[str, Any]:
     return {"type": "bitmap", "data": values.astype(np.float32), "raw": True, "filter_type": "nearest"}
 
 
+@pytest.mark.slow
 def test_a_texture_is_found_from_coarse_to_fine() -> None:
     truth = np.random.default_rng(0).uniform(0.2, 0.8, (2, 2, 3)).repeat(2, 0).repeat(2, 1)
     scene = floor(texture(truth))

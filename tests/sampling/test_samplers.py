@@ -311,7 +311,7 @@ def test_passes_do_not_change_a_bit(description: dict[str, Any], schedule: str) 
     np.testing.assert_array_equal(pixels(whole), pixels(parts))
 
 
-@pytest.mark.sparse(5)
+@pytest.mark.sparse(15)
 @every(*[d if len(d) == 1 or d == BLUE else pytest.param(d, marks=pytest.mark.slow) for d in ALL])
 def test_schedules_agree(description: dict[str, Any]) -> None:
     """Flat and wave; and with a mesh machine and wave. A filter and a border as well."""

@@ -202,7 +202,7 @@ def small(name: str) -> Any:
     return djpt.load_dict(scene)
 
 
-@pytest.mark.sparse(4)
+@pytest.mark.sparse(8)
 @pytest.mark.parametrize("name", SUBJECTS)
 def test_light_that_is_sampled_is_light_that_is_met(name: str) -> None:
     """A light that counts twice where lights are sampled would not count twice where a path meets it."""
@@ -214,7 +214,7 @@ def test_light_that_is_sampled_is_light_that_is_met(name: str) -> None:
         assert result.passed, f"{key}: {result}"
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(6)
 @pytest.mark.parametrize("name", SUBJECTS)
 def test_direct_light_is_that_of_short_paths(name: str) -> None:
     scene = small(name)

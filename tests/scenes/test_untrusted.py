@@ -358,6 +358,7 @@ def test_an_exr_that_claims_too_much_is_refused_by_its_header(tmp_path: Path, wi
     ("width", "height", "depth", "color"),
     [(8192, 8192, 8, 2), (20000, 20000, 1, 0), (20000, 20000, 1, 3), (10000, 10000, 16, 6)],
 )
+@pytest.mark.sparse(4)
 def test_a_png_that_inflates_too_much_is_refused(
     tmp_path: Path, width: int, height: int, depth: int, color: int
 ) -> None:
@@ -410,6 +411,7 @@ def test_large_uniform_pictures_of_ones_own_are_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("length", [2000, 300_000_000])
+@pytest.mark.sparse(2)
 def test_the_name_of_a_serialized_mesh_is_bounded(tmp_path: Path, length: int) -> None:
     packer = zlib.compressobj(9)
     packed = packer.compress(struct.pack("<I", 0))

@@ -51,6 +51,7 @@ whole = Renderer()
 @settings(max_examples=12, deadline=None)
 @given(pass_spp=st.integers(1, SPP + 3), count=st.sampled_from([1, 2]))
 @pytest.mark.parametrize(("schedule", "rfilter"), KINDS)
+@pytest.mark.sparse(2)
 def test_passes_and_threads(schedule: str, rfilter: str, pass_spp: int, count: int) -> None:
     scene, image = whole(schedule, rfilter)
     with threads(count):
@@ -131,6 +132,7 @@ def test_progress_reports_every_pass() -> None:
 
 @pytest.mark.parametrize("edit", [None, spheres, lights()], ids=["box", "spheres", "lights"])
 @pytest.mark.parametrize("rfilter", ["box", "gaussian"])
+@pytest.mark.sparse(2)
 def test_flat_against_wave(rfilter: str, edit: Any) -> None:
     scene = djpt.load_dict(box(128, rfilter, PATH, edit))
     shares = []
@@ -170,6 +172,7 @@ WATCHED: dict[str, Callable[[], Watched]] = {
 
 
 @pytest.mark.parametrize("name", WATCHED)
+@pytest.mark.sparse(2)
 def test_edits_compile_nothing(name: str) -> None:
     watched = WATCHED[name]()
     if name.startswith("prb"):

@@ -141,6 +141,7 @@ def test_more_pixels_of_mitsuba(folder: Path, kind: str) -> None:
 
 
 @pytest.mark.parametrize("rfilter", ["box", "gaussian"])
+@pytest.mark.sparse(2)
 def test_passes_and_threads(folder: Path, rfilter: str) -> None:
     scene = djpt.load_dict(gallery(folder, (37, 21), rfilter))
     whole = pixels(djpt.render(scene, spp=20, seed=1, schedule="machine"))

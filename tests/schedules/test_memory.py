@@ -132,7 +132,7 @@ with open("/proc/self/status") as status:
     assert int(done.stdout) * 1024 < 0.6 * GIB
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(6)
 @pytest.mark.parametrize("schedule", ["flat", "wave"])
 @pytest.mark.parametrize("rfilter", ["box", "gaussian"])
 def test_more_samples_take_no_more_memory(rfilter: str, schedule: str) -> None:

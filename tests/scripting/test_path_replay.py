@@ -49,6 +49,7 @@ def derivatives(mi: Any, integrator: Any) -> tuple[np.ndarray, np.ndarray, np.nd
 
 
 @pytest.mark.parametrize("name", CLASSES)
+@pytest.mark.sparse(2)
 def test_images_and_derivatives_are_mitsubas(mi: Any, name: str) -> None:
     """So they are with Russian roulette, which begins at depth 2 here."""
     settings = {"max_depth": 5} | ({"rr_depth": 2} if name == "prb" else {})

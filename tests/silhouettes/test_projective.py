@@ -122,6 +122,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("name", "kind"), CASES)
+@pytest.mark.sparse(2)
 def test_derivatives_by_the_place_of_a_shape(name: str, kind: str) -> None:
     """Forward mode agrees with differences within noise, and 3 per cent, since a guide leaves out what it hasn't found.
 

@@ -119,6 +119,7 @@ def test_samples_are_mitsubas(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", [*ANALYTIC, "mesh"])
+@pytest.mark.sparse(2)
 def test_samples_of_pointers_are_those_of_shapes(name: str) -> None:
     one = shape(djpt, name)
     others = djpt.ShapePtr([one, analytic(djpt, "sphere"), None])
@@ -238,7 +239,7 @@ def scene(m: Any) -> Any:
     return room
 
 
-@pytest.mark.sparse(2)
+@pytest.mark.sparse(4)
 @pytest.mark.parametrize("flags", [PERIMETER | INTERIOR | 4, PERIMETER | INTERIOR | 8, PERIMETER | 4])
 def test_silhouettes_of_scenes_are_mitsubas(flags: int) -> None:
     ours, theirs = scene(djpt), scene(mi)

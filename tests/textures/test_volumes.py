@@ -91,7 +91,7 @@ def paint(channels: int, schedule: str) -> Slopes:
     return Slopes(djpt.load_dict(ball(numbers=numbers)), {key: 0.2 + 0.5 * numbers}, {key: along}, schedule)
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(6)
 @pytest.mark.parametrize("schedule", ["flat", "wave"])
 @pytest.mark.parametrize("channels", [1, 3])
 def test_gradients_of_numbers(channels: int, schedule: str) -> None:

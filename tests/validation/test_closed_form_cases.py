@@ -14,7 +14,7 @@ def test_there_are_enough() -> None:
         assert "integrator" not in case.scene()
 
 
-@pytest.mark.sparse(4)
+@pytest.mark.sparse(12)
 @pytest.mark.parametrize("name", CASES)
 def test_path_tracers(name: str) -> None:
     outcomes = list(validate([CASES[name]], ["path", "volpath"], spp=256))

@@ -236,6 +236,7 @@ def test_bridge_renders_what_mitsuba_renders() -> None:
     np.testing.assert_allclose(ours, theirs, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_mitsuba_agrees_with_itself() -> None:
     """`prb` begins roulette one bounce later than `path`: other samples, the same image."""
     path = small_box(integrator={"type": "path", "max_depth": 4})
@@ -319,6 +320,7 @@ def test_djpt_matches_mitsuba_with_its_filter() -> None:
 @pytest.mark.parametrize(
     "name", [n for n, s in sorted(djpt.scenes.SCENES.items()) if s()["integrator"]["type"] not in ("bdpt", "sppm")]
 )
+@pytest.mark.sparse(6)
 def test_same_seed_in_every_built_in_scene(name: str) -> None:
     """Also with many emitters, where Mitsuba would pick others if it merged them."""
     result = compare(name, spp=16, width=48, rfilter="box", same_seed=0.995)

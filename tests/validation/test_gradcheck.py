@@ -65,6 +65,7 @@ def test_planted_faults_are_caught_by_the_defaults(fault: str) -> None:
     assert not result.passed, result
 
 
+@pytest.mark.slow
 def test_large_pictures_are_checked_small() -> None:
     """The command on the page of commands takes seconds: pictures of 256 x 256 are reduced to 64 x 64."""
     calls: list[tuple[int, int]] = []
@@ -104,6 +105,7 @@ def test_against_mitsuba(key: str) -> None:
     assert sum("Mitsuba" in verdict.what for verdict in result.verdicts) == 3
 
 
+@pytest.mark.slow
 def test_ends_of_ranges() -> None:
     """At 0 and 1 differences are one-sided, and Mitsuba isn't asked where it is wrong."""
     scene = override(djpt.cornell_box(), width=12)
@@ -113,6 +115,7 @@ def test_ends_of_ranges() -> None:
     assert any("divides by the differentiated value" in note for note in result.notes)
 
 
+@pytest.mark.slow
 def test_textures_at_both_ends_of_their_range() -> None:
     """A black texel and a white one: no direction of random signs keeps both in the range."""
     scene = override(djpt.cornell_box(), width=8)
@@ -142,6 +145,7 @@ def test_textures_are_checked_by_directions_and_texels() -> None:
 
 @pytest.mark.sparse(2)
 @pytest.mark.parametrize("data", ["white and black", "black"])
+@pytest.mark.slow
 def test_texels_at_the_ends_of_their_range(data: str) -> None:
     """Entries at an end change inwards only: a black texel, of three zeros, can't follow random signs."""
     scene = override(djpt.cornell_box(), width=8)
@@ -178,6 +182,7 @@ def test_what_cant_be_checked() -> None:
         check_gradient(box(), KEY, mitsuba=True)
 
 
+@pytest.mark.slow
 def test_the_command_line(tmp_path: Path) -> None:
     assert SIDE_OF_HELP == SIDE
     small = ("--width", "8", "--spp", "16", "--seeds", "3", "--most-seeds", "3", "--no-mitsuba")
@@ -201,6 +206,7 @@ def test_the_command_line(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("key", ["light.to_world", "lamp.position"])
+@pytest.mark.sparse(2)
 def test_motions_of_lights(key: str) -> None:
     """On a floor without shadows, where there is little noise."""
     film = {"type": "hdrfilm", "width": 8, "height": 8, "rfilter": {"type": "box"}}
@@ -219,6 +225,7 @@ def test_motions_of_lights(key: str) -> None:
 
 
 @pytest.mark.parametrize("key", ["sensor.to_world", "sensor.x_fov", "ball.to_world"])
+@pytest.mark.sparse(3)
 def test_motions(key: str) -> None:
     """Shapes and cameras are moved as a whole; noise of silhouettes hides small errors."""
     film = {"type": "hdrfilm", "width": 16, "height": 16, "rfilter": {"type": "box"}}

@@ -81,6 +81,7 @@ def test_references_are_written_compared_and_reported(pytester: pytest.Pytester)
     assert {path: path.read_bytes() for path in folder.iterdir()} == before
 
 
+@pytest.mark.slow
 def test_thresholds_and_other_sides(pytester: pytest.Pytester) -> None:
     text = """
         import numpy as np

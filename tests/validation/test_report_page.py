@@ -129,6 +129,7 @@ def test_noisy_pages_are_small(size: int) -> None:
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium")
 @pytest.mark.parametrize("name", NAMES.values(), ids=NAMES)
+@pytest.mark.sparse(5)
 def test_pages_of_any_name_work(name: str, tmp_path: Path) -> None:
     named(name, tmp_path).write_page(tmp_path / "a.html")
     with browsing(tmp_path / "profile") as opened:

@@ -52,7 +52,7 @@ FAMILIES = families()
 # ---------------------------------------------------------------- false alarms
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(6)
 @pytest.mark.parametrize("equal_variance", [True, False])
 @pytest.mark.parametrize("counts", [(3, 3), (4, 9)])
 def test_noise_is_accepted_at_the_stated_rate(equal_variance: bool, counts: tuple[int, int]) -> None:
@@ -72,6 +72,7 @@ def test_noise_is_accepted_at_the_stated_rate(equal_variance: bool, counts: tupl
 
 
 @pytest.mark.parametrize("counts", [(4, 4), (4, 64)])
+@pytest.mark.sparse(2)
 def test_fireflies_raise_no_alarm(counts: tuple[int, int]) -> None:
     """Noise that isn't normal, and a reference that has seen far more of it, as in a real comparison."""
     trials, significance = 60, 0.01
