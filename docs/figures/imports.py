@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 __all__ = ["Graph", "circles", "imports", "modules", "room", "rooms"]
 
 LINKED = ("integrators", "materials", "scenes", "validation")
 """Folders at the top of the repository that are subpackages of djpt by symbolic links."""
+
+BY_STRING = ("import_module", "__import__")
+"""The functions that import what a string names."""
 
 Graph = dict[str, set[str]]
 """What each module imports, or each room."""
@@ -37,9 +40,11 @@ def imports(sources: Mapping[str, str]) -> Graph:
     """
     trees = {name: ast.parse(source) for name, source in sources.items()}
     defined = {name: _defined(tree) for name, tree in trees.items()}
+    statements = {name: list(_statements(tree.body)) for name, tree in trees.items()}
+    froms = {name: [s for s in own if isinstance(s, ast.ImportFrom)] for name, own in statements.items()}
     handed_on = {
-        name: {alias.asname or alias.name: (node.module, alias.name) for node in _froms(tree) for alias in node.names}
-        for name, tree in trees.items()
+        name: {alias.asname or alias.name: (node.module, alias.name) for node in own for alias in node.names}
+        for name, own in froms.items()
     }
 
     def origin(module: str | None, name: str) -> str:
@@ -56,15 +61,20 @@ def imports(sources: Mapping[str, str]) -> Graph:
 
     graph: Graph = {}
     for importer, tree in trees.items():
-        found = {origin(node.module, alias.name) for node in _froms(tree) for alias in node.names}
-        found |= {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
-        found |= _by_string(tree)
+        found = {origin(node.module, alias.name) for node in froms[importer] for alias in node.names}
+        found |= {alias.name for node in statements[importer] if isinstance(node, ast.Import) for alias in node.names}
+        if any(word in sources[importer] for word in BY_STRING):
+            found |= _by_string(tree)
         graph[importer] = found & set(trees) - {importer, "djpt"}
     return graph
 
 
-def _froms(tree: ast.Module) -> list[ast.ImportFrom]:
-    return [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+def _statements(body: Iterable[ast.AST]) -> Iterator[ast.AST]:
+    """All statements, with those inside of others, but no expressions, which are most of a tree."""
+    for node in body:
+        yield node
+        for inside in ("body", "orelse", "finalbody", "handlers", "cases"):
+            yield from _statements(getattr(node, inside, ()))
 
 
 def _defined(tree: ast.Module) -> set[str]:
@@ -77,7 +87,7 @@ def _defined(tree: ast.Module) -> set[str]:
 def _by_string(tree: ast.Module) -> set[str]:
     """What is given as a string to `import_module` and its kin."""
     calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call) and node.args]
-    first = [c.args[0] for c in calls if ast.unparse(c.func).split(".")[-1] in ("import_module", "__import__")]
+    first = [c.args[0] for c in calls if ast.unparse(c.func).split(".")[-1] in BY_STRING]
     return {str(argument.value) for argument in first if isinstance(argument, ast.Constant)}
 
 

@@ -57,7 +57,7 @@ SCENES: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(6)
 @pytest.mark.parametrize("name", SCENES)
 def test_equal_pixels(name: str) -> None:
     pytest.importorskip("mitsuba")

@@ -40,7 +40,7 @@ def test_points_are_shown_where_rays_lead_to_them(name: str, film: str) -> None:
 
 
 @pytest.mark.parametrize("name", WIDE)
-@pytest.mark.sparse(4)
+@pytest.mark.sparse(12)
 def test_rays_follow_all_numbers(name: str) -> None:
     """Derivatives of rays and of places on the film, forwards, against central differences."""
     at, sensor = Point2f(*uniform(256)), sensor_of(name)

@@ -331,6 +331,7 @@ def test_gradients_are_sums_over_views(cluster: Cluster) -> None:
     )
 
 
+@pytest.mark.slow
 def test_errors_name_the_cause(cluster: Cluster) -> None:
     client = cluster.client
     with pytest.raises(BackendError, match=r"must be a distributed\.Client"):

@@ -107,6 +107,7 @@ def test_a_scene_is_measured(tmp_path: Path) -> None:
     assert row["equal"] > 0.98
 
 
+@pytest.mark.slow
 def test_a_scene_that_cannot_be_rendered_is_reported(tmp_path: Path) -> None:
     pytest.importorskip("mitsuba")
     (tmp_path / "broken.xml").write_text(SCENE.replace('"sphere"', '"spere"'))

@@ -344,6 +344,7 @@ def test_scenes_are_listed() -> None:
     assert all(len(line.split(maxsplit=1)) == 2 for line in out.splitlines()), "each with a summary"
 
 
+@pytest.mark.slow
 def test_doctor_reports(monkeypatch: pytest.MonkeyPatch) -> None:
     code, out, _ = run("doctor")
     assert code == ExitCode.DONE

@@ -74,7 +74,7 @@ ENTRIES = [
 ]
 
 
-@pytest.mark.sparse(8)
+@pytest.mark.sparse(16)
 @pytest.mark.parametrize("arguments", ENTRIES, ids=lambda a: " ".join(a[:3])[:24])
 @pytest.mark.parametrize("version", [None, 14, 15, 16])
 def test_the_command_line_without_a_usable_llvm(

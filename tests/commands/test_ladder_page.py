@@ -96,6 +96,7 @@ def test_all_steps_are_measured_at_powers_of_two(ladder: Ladder) -> None:
         assert found.samples == SPP * 16 * 16 and found.speed > 0
 
 
+@pytest.mark.slow
 def test_errors_fall_but_for_what_is_left_out(ladder: Ladder) -> None:
     by_title = {found.step.title: found for found in ladder.measured}
     for title in ("path", "path_nee", "path_naive, cosine"):
@@ -210,6 +211,7 @@ def test_mitsuba_as_the_reference() -> None:
 # ---------------------------------------------------------------- the page
 
 
+@pytest.mark.slow
 def test_the_page_is_balanced_and_needs_nothing_else(text: str) -> None:
     page = Page(text)
     assert page.open == []
@@ -223,6 +225,7 @@ def test_the_page_is_balanced_and_needs_nothing_else(text: str) -> None:
     assert len(ids) == len(set(ids))
 
 
+@pytest.mark.slow
 def test_every_picture_has_an_alternative_text(text: str) -> None:
     page = Page(text)
     pictures = page.named("img")
@@ -232,6 +235,7 @@ def test_every_picture_has_an_alternative_text(text: str) -> None:
     assert all(figure["aria-label"] for figure in page.named("svg"))
 
 
+@pytest.mark.slow
 def test_every_integrator_is_in_pictures_curves_and_numbers(text: str) -> None:
     rows = re.findall(r"<tr><td>.*?</span>(.*?)</td>", text)
     assert rows == [step.title for step in STEPS]
@@ -244,12 +248,14 @@ def test_every_integrator_is_in_pictures_curves_and_numbers(text: str) -> None:
     assert {row.count("<td") for row in numbers} == {text.count('<th scope="col"')}
 
 
+@pytest.mark.slow
 def test_what_the_reference_leaves_out_is_said(ladder: Ladder, text: str) -> None:
     assert ladder.reference.missing == ""
     lacking = html(replace(ladder, reference=replace(ladder.reference, missing="caustics")))
     assert lacking.count("Leaves out caustics.") == text.count("Leaves out caustics.") + 1
 
 
+@pytest.mark.slow
 def test_names_are_escaped(ladder: Ladder) -> None:
     text = html(replace(ladder, name='<script src="x">'))
     assert "<script src" not in text

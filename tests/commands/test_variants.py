@@ -192,6 +192,7 @@ def test_variants_that_compute_something_else(name: str) -> None:
 
 
 @pytest.mark.parametrize("names", ["scalar_rgb", "foo', 'scalar_rgb", "llvm_rgb"])
+@pytest.mark.sparse(2)
 def test_other_rgb_variants_stand_for_the_one_in_use(names: str) -> None:
     """One note says so, however often they are set."""
     code = f"""

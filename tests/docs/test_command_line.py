@@ -51,7 +51,7 @@ def test_the_commands_are_understood(command: str) -> None:
         assert parsed.args == []
 
 
-@pytest.mark.sparse(10)
+@pytest.mark.sparse(20)
 @pytest.mark.parametrize(
     "command",
     [

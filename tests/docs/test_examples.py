@@ -191,6 +191,7 @@ def test_the_scripts_of_places_print_errors_and_write_pictures(name: str, tmp_pa
     assert np.array(djpt.read(tmp_path / "a.png")).shape == (16, 3 * 16, 3)
 
 
+@pytest.mark.slow
 def test_an_own_integrator_is_differentiated_without_adjoint_code(tmp_path: Any) -> None:
     """The script compares the derivative with a finite difference, and fails if they differ."""
     picture = tmp_path / "sky.png"

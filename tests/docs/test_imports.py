@@ -36,8 +36,11 @@ def sources() -> list[Path]:
 
 def string_imports(path: Path) -> list[str]:
     """Calls that import by a string, unless it is the name of somebody else's package."""
-    found = []
-    for node in ast.walk(ast.parse(path.read_text())):
+    found: list[str] = []
+    text = path.read_text()
+    if not any(word in text for word in IMPORTERS):
+        return found
+    for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Call) and ast.unparse(node.func).split(".")[-1] in IMPORTERS:
             name = node.args[0]
             literal = isinstance(name, ast.Constant) and isinstance(name.value, str)

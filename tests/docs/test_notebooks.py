@@ -61,7 +61,7 @@ LIBRARIES = {"against_mitsuba": ("mitsuba",), "pytorch_and_jax": ("torch", "jax"
 """What notebooks need besides djpt: one of these."""
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(6)
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_runs(notebook: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     libraries = LIBRARIES.get(notebook.stem, ())

@@ -77,6 +77,7 @@ def test_all_flags_are_tested() -> None:
 
 @pytest.mark.parametrize("flag", ["SymbolicLoops", "ForbidSynchronization"])
 @pytest.mark.sparse(2)
+@pytest.mark.slow
 def test_a_flag_that_concerns_loops_or_loading_aborts_nothing(flag: str) -> None:
     check(flag)
 

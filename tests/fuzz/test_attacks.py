@@ -26,7 +26,7 @@ def pool() -> Iterator[Pool]:
 
 
 @pytest.mark.parametrize("family", [name for name in FAMILIES if name != "images"])
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(9)
 def test_djpt_survives(pool: Pool, family: str) -> None:
     assert attack(pool, family, 0, FEW * WEIGHTS[family], set()) is None
 

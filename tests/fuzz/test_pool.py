@@ -57,6 +57,7 @@ def test_files_of_cases_may_be_large(pool: Pool) -> None:
     assert pool.run(Case("", {"large": bytes(MOST_WRITTEN + 1)})).outcome == "fine"
 
 
+@pytest.mark.slow
 def test_repeated_lines_have_bounds() -> None:
     data = bytes(1000)
     for _ in range(4):

@@ -67,7 +67,7 @@ def answers(structure: Accelerator, ray: Ray3f) -> tuple[NDArray[Any], ...]:
     return t.numpy(), face.numpy(), any_hit.numpy()
 
 
-@pytest.mark.sparse(6)
+@pytest.mark.sparse(18)
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", SOUPS)
 def test_all_structures_find_the_hits_of_brute_force(name: str, kind: str) -> None:
@@ -108,6 +108,7 @@ def test_a_hundred_thousand_rays_have_the_hits_of_brute_force(name: str) -> None
 
 
 @pytest.mark.parametrize("corners", [SOUPS["scattered"](), sphere(400)], ids=["scattered", "sphere"])
+@pytest.mark.sparse(2)
 def test_cells_of_the_bsp_tree_fill_the_box_and_know_their_triangles(corners: NDArray[np.float32]) -> None:
     tree = BspTree(corners)
     leaves = tree.leaves()
@@ -155,7 +156,7 @@ def test_triangles_overlap_boxes_that_they_cut() -> None:
 
 
 @pytest.mark.parametrize("name", ["scattered", "sphere", "giants_among_dwarfs", "far_away"])
-@pytest.mark.sparse(2)
+@pytest.mark.sparse(4)
 def test_brute_force_finds_the_hits_of_double_precision(name: str) -> None:
     corners = SOUPS[name]()
     o, d = rays_at(corners, 800)
@@ -208,6 +209,7 @@ def test_no_ray_slips_through_a_closed_surface() -> None:
 
 
 @pytest.mark.parametrize("kind", [*KINDS, "brute force"])
+@pytest.mark.sparse(4)
 def test_statistics_describe_the_structure(kind: str) -> None:
     corners = sphere(2000)
     statistics = {**KINDS, "brute force": BruteForce}[kind](corners).statistics()

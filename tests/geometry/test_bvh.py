@@ -59,6 +59,7 @@ def test_every_primitive_is_in_one_leaf_and_every_box_fits_tightly(name: str, me
 
 @pytest.mark.parametrize("width", [2, 4, 8])
 @pytest.mark.parametrize("name", SOUPS)
+@pytest.mark.sparse(6)
 def test_a_wide_tree_holds_the_same_leaves_in_depth_first_order(name: str, width: int) -> None:
     low, high = boxes(SOUPS[name]())
     tree = collapse(build(low, high), width)

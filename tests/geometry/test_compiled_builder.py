@@ -185,6 +185,7 @@ def test_refit_moves_placed_primitives() -> None:
 
 
 @pytest.mark.parametrize("name", ["nested", "exponential", "giants_among_dwarfs"])
+@pytest.mark.sparse(2)
 def test_skewed_input_makes_no_deep_trees(name: str) -> None:
     corners = np.ascontiguousarray(np.concatenate([CASES[name]()] * 3))
     tree = build(corners)

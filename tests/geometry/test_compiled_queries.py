@@ -69,6 +69,7 @@ def scene(ways: str, *shapes: Any, **more: Any) -> djpt.Scene:
 # Of triangles that shrink without end, which are hit is a matter of rounding.
 @pytest.mark.parametrize("search", SEARCHES)
 @pytest.mark.parametrize("name", sorted(SOUPS.keys() - {"exponential"}))
+@pytest.mark.sparse(4)
 def test_hits_are_those_of_all_triangles_one_by_one(name: str, search: str) -> None:
     corners = SOUPS[name]()
     calls, ray = scene(search, mesh(corners)), rays_at(corners, 4000)
@@ -117,7 +118,7 @@ def words(array: Any) -> NDArray[np.uint32]:
 @by_rings
 @pytest.mark.parametrize("count", [10**5, pytest.param(10**7, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("one_sided", [False, True])
-@pytest.mark.sparse(2)
+@pytest.mark.sparse(4)
 def test_rings_find_what_searches_one_by_one_find(one_sided: bool, count: int) -> None:
     """The same words: of meshes, instances of them, solids, lights that rays pass, surfaces with one side."""
     rng = np.random.default_rng(4)
@@ -160,6 +161,7 @@ def side_by_side(width: float, count: int, seed: int) -> Ray3f:
 
 @by_rings
 @pytest.mark.parametrize("width", [0.0, 1e-4, 0.01, 0.1])
+@pytest.mark.sparse(2)
 def test_rays_side_by_side_find_what_single_rays_find(width: float) -> None:
     """The same words, also where some lanes are off, of lights that rays pass and of surfaces with one side."""
     count, rng = 64 * 400, np.random.default_rng(6)
@@ -201,7 +203,7 @@ def test_solids_and_instances_are_hit_as_by_steps(search: str) -> None:
 
 
 @pytest.mark.parametrize("schedule", ["flat", "machine", "wave"])
-@pytest.mark.sparse(2)
+@pytest.mark.sparse(4)
 def test_images_are_those_of_steps(schedule: str) -> None:
     """With lights in the tree that camera rays pass through, and shadow rays don't."""
     images = []

@@ -93,6 +93,7 @@ def clearance(balls: np.ndarray, o: np.ndarray, d: np.ndarray) -> np.ndarray:
 # ---------------------------------------------------------------- hits
 
 
+@pytest.mark.slow
 def test_linear_curves_are_hulls_of_balls(tmp_path: Path) -> None:
     curves = strands()
     scene, (o, d) = djpt.load_dict(scene_of("linearcurve", file_of(curves, tmp_path))), rays(1500)

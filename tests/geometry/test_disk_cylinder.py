@@ -62,7 +62,7 @@ def wide(x: Any, count: int) -> np.ndarray:
     return np.broadcast_to(values, (*values.shape[:-1], count))
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(6)
 @pytest.mark.parametrize("description", CASES.values(), ids=CASES)
 def test_surface_is_mitsubas(description: dict[str, Any]) -> None:
     mi, scene = mitsuba(description)
@@ -134,6 +134,7 @@ def furnished(scene: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize("integrator", ["path", "prb", "direct"])
+@pytest.mark.sparse(2)
 def test_equal_seeds_give_equal_pixels(integrator: str) -> None:
     pytest.importorskip("mitsuba")
     edit: Edit = furnished

@@ -360,7 +360,7 @@ def kinds_of(name: str) -> list[str]:
     return [kind for kind in KINDS if name not in SEARCHED or kind not in ("grazing", "rim")]
 
 
-@pytest.mark.sparse(11)
+@pytest.mark.sparse(22)
 @pytest.mark.parametrize(("name", "kind"), [(name, kind) for name in SHAPES for kind in kinds_of(name)])
 def test_hits_are_exact(name: str, kind: str) -> None:
     if name == "sdfgrid":

@@ -187,6 +187,7 @@ def compare(mi: Any, scene: dict[str, Any], tolerance: float, fields: tuple[str,
 
 
 @pytest.mark.parametrize("kind", ["smooth", "flat", "no uv", "flipped"])
+@pytest.mark.sparse(2)
 def test_surface_points_on_meshes(mi: Any, folder: Path, kind: str) -> None:
     compare(mi, row_of(meshes(folder)[kind], AFFINE), 5e-4)
 

@@ -154,7 +154,7 @@ def test_hits_from_afar_lie_on_the_ray(folder: Path) -> None:
 
 @pytest.mark.parametrize("count", [270_000, pytest.param(1_000_000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("kind", SCENES)
-@pytest.mark.sparse(2)
+@pytest.mark.sparse(6)
 def test_many_rays_at_once(folder: Path, kind: str, count: int) -> None:
     """From 2^18 rays on lanes take ray after ray; a thousand have a lane each, and so has one."""
     from djpt.geometry.bvh.steps.trees import BATCH

@@ -207,6 +207,7 @@ def test_shapes_of_a_group(folder: Path) -> None:
     looks_like(watched.image, description)
 
 
+@pytest.mark.slow
 def test_wild_vertices(folder: Path) -> None:
     """Trees of very different shapes: the depth of those that are searched by steps is structure, and may only grow."""
     with ray_queries("steps"):
@@ -288,6 +289,7 @@ def test_bad_values_change_nothing(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("schedule", ["machine", "flat", "wave"])
+@pytest.mark.sparse(2)
 def test_a_camera_that_goes_far_away_and_comes_back(folder: Path, schedule: str) -> None:
     """From afar rays are moved near the triangles first: a new kernel, once."""
     description = village(folder)

@@ -45,6 +45,7 @@ def check_means(name: str, where: Sequence[Place]) -> None:
 
 
 @pytest.mark.parametrize("name", ["cornell", "balls", "huge sphere"])
+@pytest.mark.sparse(3)
 def test_light_depends_on_no_scale(name: str) -> None:
     check_means(name, FEW)
 
@@ -56,7 +57,7 @@ def test_light_depends_on_no_place(name: str) -> None:
 
 
 @pytest.mark.parametrize("walls", ["rectangles", "cube", "mesh"])
-@pytest.mark.sparse(2)
+@pytest.mark.sparse(4)
 def test_closed_rooms_let_no_light_in(walls: str) -> None:
     where = places((1.0, 1e-9, 1e12), (1e3, 1e5))
     leaking = [int((image(closed_room(place, walls)).max(axis=2) > 0).sum()) for place in where]
@@ -78,7 +79,7 @@ def test_usual_scenes_are_rendered_as_they_are() -> None:
         assert normalized_scene(djpt.load_dict(build())) is None
 
 
-@pytest.mark.sparse(2)
+@pytest.mark.sparse(4)
 @pytest.mark.parametrize("name", PLACED)
 def test_powers_of_two_change_no_bit(name: str) -> None:
     """The frame scales by powers of two, exactly, whatever has a length or an intensity."""
@@ -145,6 +146,7 @@ def test_edits_reach_the_frame() -> None:
 @pytest.mark.parametrize(
     ("key", "unit"), [("floor.bsdf.reflectance.value", 0), ("bulb.intensity.value", 2), ("spot.cutoff_angle", 0)]
 )
+@pytest.mark.sparse(3)
 def test_gradients_pass_through_the_frame(key: str, unit: int) -> None:
     """Those of a scene at 2^-20; an intensity is there 2^-40 times as large, and its gradient 2^40 times."""
     gradients = []
@@ -173,6 +175,7 @@ def smoky(scale: float, **more: Any) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(("key", "unit"), [("scale", -1), ("sigma_t.data", 0)])
+@pytest.mark.sparse(2)
 def test_gradients_by_smoke_pass_through_the_frame(key: str, unit: int) -> None:
     gradients = []
     for scale in (1.0, 2.0**-20):
@@ -234,6 +237,7 @@ def test_a_scripts_plugin_keeps_a_scene_in_its_place() -> None:
 
 @pytest.mark.parametrize("name", ["glow", "lengths"])
 @pytest.mark.parametrize("scale", [1e-6, 1e6])
+@pytest.mark.sparse(2)
 def test_what_is_per_length_is_converted(name: str, scale: float) -> None:
     """Emission and absorption, and the heights of bump maps."""
     scenes = [PLACED[name](place) for place in (Place(), Place(scale))]

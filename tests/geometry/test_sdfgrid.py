@@ -52,7 +52,7 @@ def shot(scene: Any, o: np.ndarray, d: np.ndarray) -> Any:
 
 @pytest.mark.parametrize("normals", ["smooth", "analytic"])
 @pytest.mark.parametrize("grid", [bumps(6), ball(12, 12, 12)], ids=["bumps", "ball"])
-@pytest.mark.sparse(2)
+@pytest.mark.sparse(4)
 def test_surface_is_mitsubas(grid: np.ndarray, normals: str) -> None:
     mi = pytest.importorskip("mitsuba")
     o, d = rays()

@@ -38,6 +38,7 @@ def wide(scene: dict[str, Any]) -> None:
 @pytest.mark.parametrize("kind", ["bdpt", "ptracer"])
 @pytest.mark.parametrize("rfilter", ["box", pytest.param("gaussian", marks=slow)])
 @pytest.mark.sparse(2)
+@pytest.mark.slow
 def test_albedo_and_radiance(kind: str, rfilter: str) -> None:
     Experiment(box(12, rfilter, of(kind)), [ALBEDO, WHITE, RADIANCE], spp=8).check()
 

@@ -44,7 +44,7 @@ class EmitterSlopes(Slopes):
 SEEN = [name for name in NAMES if plugin_of(name) != "directionalarea"]
 
 
-@pytest.mark.sparse(6)
+@pytest.mark.sparse(12)
 @pytest.mark.parametrize("name", first_of_each(SEEN))
 def test_every_parameter(name: str) -> None:
     slopes, exact = EmitterSlopes(name), {}
@@ -56,6 +56,7 @@ def test_every_parameter(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["directional-turned", "projector-bitmap", "spot-turned", "spot-bitmap"])
+@pytest.mark.sparse(2)
 def test_schedules_agree(name: str) -> None:
     """The same samples in another order."""
     flat, wave = (EmitterSlopes(name, schedule).slopes(1) for schedule in ("flat", "wave"))

@@ -42,7 +42,7 @@ djpt.register_integrator("plain_direct", PlainDirect)
 # ---------------------------------------------------------------- parameters
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(6)
 @pytest.mark.parametrize("integrator", ["prb", "path"])
 @pytest.mark.parametrize("rfilter", ["box", "gaussian"])
 def test_albedo_and_radiance(rfilter: str, integrator: str) -> None:
@@ -50,7 +50,7 @@ def test_albedo_and_radiance(rfilter: str, integrator: str) -> None:
     Experiment(description, [ALBEDO, "white.reflectance.value", RADIANCE]).check()
 
 
-@pytest.mark.sparse(10)
+@pytest.mark.sparse(20)
 @pytest.mark.parametrize("integrator", [PRB, {"type": "direct"}, PLAIN], ids=["prb", "direct", "plain"])
 @pytest.mark.parametrize(
     ("light", "name"),
@@ -67,7 +67,7 @@ def test_lights(light: str, name: str, integrator: dict[str, Any]) -> None:
     Experiment(box(16, "box", integrator, edit), [name, RADIANCE]).check()
 
 
-@pytest.mark.sparse(5)
+@pytest.mark.sparse(10)
 @pytest.mark.parametrize("integrator", [{"type": "direct"}, {"type": "direct", "shading_samples": 2}, PLAIN], ids=str)
 @pytest.mark.parametrize("rfilter", ["box", "gaussian"])
 def test_plain_automatic_differentiation(rfilter: str, integrator: dict[str, Any]) -> None:

@@ -77,6 +77,7 @@ def test_lobes(integrator: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize("rfilter", ["box", "gaussian"])
+@pytest.mark.sparse(2)
 def test_a_users_path_tracer(rfilter: str) -> None:
     """By plain automatic differentiation."""
     experiment = Experiment(box(16, rfilter, {"type": "three_bounces"}), [ALBEDO, RADIANCE], spp=64)

@@ -60,7 +60,7 @@ SLOW = ("gaussian", "crop")
 
 
 @pytest.mark.parametrize("kind", [pytest.param(k, marks=pytest.mark.slow if k in SLOW else ()) for k in SCENES])
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(6)
 def test_reverse_forward_and_differences(folder: Path, kind: str) -> None:
     scene = djpt.load_dict(gallery(folder, **{"size": (24, 19), "integrator": PRB, **SCENES[kind]}))
     machine, flat = loss(scene, NAMES, "machine"), loss(scene, NAMES, "flat")

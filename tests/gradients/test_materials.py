@@ -230,6 +230,7 @@ LONG = ("blendbsdf", "hair", "principled", "principledthin", "roughplastic")
 
 @pytest.mark.sparse(24)
 @pytest.mark.parametrize("name", first_of_each(NAMES, LONG))
+@pytest.mark.slow
 def test_every_parameter_in_an_image(name: str) -> None:
     slopes, exact = ImageSlopes(name), {}
     verdicts = [slopes.check(key, exact) for key in slopes.keys]
@@ -237,7 +238,7 @@ def test_every_parameter_in_an_image(name: str) -> None:
     assert all(good for good, _ in verdicts), "\n".join(text for good, text in verdicts if not good)
 
 
-@pytest.mark.sparse(36)
+@pytest.mark.sparse(72)
 @pytest.mark.parametrize("name", first_of_each(NAMES))
 def test_schedules_agree(name: str) -> None:
     """The same samples in another order."""

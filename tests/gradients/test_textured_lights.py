@@ -68,6 +68,7 @@ def test_by_differences(shape: str, kind: str) -> None:
 
 
 @pytest.mark.parametrize("integrator", ["prb", "path", "direct"])
+@pytest.mark.sparse(2)
 def test_forward_is_reverse(integrator: str) -> None:
     loss = lit(16, integrator=integrator)
     reverse = float(loss.reverse(1) @ ALONG.ravel())

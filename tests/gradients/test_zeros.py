@@ -90,6 +90,7 @@ def test_integrators(integrator: str) -> None:
 
 
 @pytest.mark.parametrize("value", [0.0, 1e-10])
+@pytest.mark.sparse(2)
 def test_schedules_agree(tmp_path: Path, value: float) -> None:
     """In the machine schedule shadow rays are traced where a black wall would be lit."""
     found = {}

@@ -39,6 +39,7 @@ def command(*words: str | Path) -> Any:
 
 
 @pytest.mark.parametrize("method", METHODS)
+@pytest.mark.sparse(2)
 def test_noise_goes(method: str) -> None:
     scene = djpt.load_dict(described(64))
     reference = djpt.render(scene, spp=1024, seed=1)

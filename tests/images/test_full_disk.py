@@ -53,6 +53,7 @@ def test_images(suffix: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", FORMATS)
+@pytest.mark.sparse(3)
 def test_images_that_are_written_while_they_are_computed(suffix: str, tmp_path: Path) -> None:
     """Of more pixels than a file holds back: what was refused is tried again when it is closed."""
     path, scene = tmp_path / f"a{suffix}", box(size=96)

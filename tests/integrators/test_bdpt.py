@@ -33,7 +33,7 @@ LIT = first_of_each(name for name in NAMES if plugin_of(name) not in ("direction
 FURTHER = [name for name in NAMES if plugin_of(name) in ("spot", "projector")]
 
 
-@pytest.mark.sparse(6)
+@pytest.mark.sparse(12)
 @pytest.mark.parametrize("name", [*LIT, *(pytest.param(name, marks=pytest.mark.slow) for name in FURTHER)])
 def test_lights(name: str) -> None:
     check(floor_scene({"light": entry(name)}, size=16))
@@ -132,6 +132,7 @@ def test_hidden_lamps() -> None:
     check(floor_scene(size=16), 3, hide_emitters=True)
 
 
+@pytest.mark.slow
 def test_beams_are_shown() -> None:
     """Light that leaves a surface in one direction only, which `path` can't show, as `ptracer` shows it."""
     scene = floor_scene({"light": entry("directionalarea-rectangle")}, size=16)
@@ -154,6 +155,7 @@ def test_long_paths_are_left_to_the_camera(monkeypatch: pytest.MonkeyPatch) -> N
 # ---------------------------------------------------------------- closed forms
 
 
+@pytest.mark.slow
 def test_caustic_of_a_parabolic_mirror() -> None:
     """Ring by ring, away from the rim of the beam; its formula is in the scene's documentation."""
     scene = djpt.load_dict(djpt.scenes.parabolic_mirror())
@@ -183,6 +185,7 @@ def test_a_plane_below_a_point() -> None:
 # ---------------------------------------------------------------- strategies
 
 
+@pytest.mark.slow
 def test_strategies_add_up_and_agree() -> None:
     """Weighted images of all strategies make up the image without what is seen directly; alone, all show the same."""
     depth = 3

@@ -77,7 +77,7 @@ CUT_OFF = [
 ]
 
 
-@pytest.mark.sparse(52)
+@pytest.mark.sparse(104)
 @pytest.mark.parametrize(("name", "integrator", "depth"), CUT_OFF, ids=str)
 def test_paths_end(name: str, integrator: Keys, depth: int) -> None:
     """The light of paths of at most `depth` edges."""

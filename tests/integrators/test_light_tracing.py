@@ -80,7 +80,7 @@ def assert_equal_means(a: np.ndarray, b: np.ndarray) -> None:
         assert abs(x.mean() - y.mean()) < 5 * error + 1e-7
 
 
-@pytest.mark.sparse(6)
+@pytest.mark.sparse(18)
 @pytest.mark.parametrize("name", first_of_each(name for name in NAMES if plugin_of(name) != "directionalarea"))
 def test_same_mean_as_path(name: str) -> None:
     scene = floor_scene({"light": entry(name)}, size=16)
@@ -113,6 +113,7 @@ def test_sensors_and_filters(rfilter: str, sensor: dict[str, Any]) -> None:
         assert_equal_means(a[edge], b[edge])
 
 
+@pytest.mark.slow
 def test_materials_and_normals() -> None:
     """Light that is refracted, and shading normals that differ from the geometry's."""
     scene = floor_scene(size=16)

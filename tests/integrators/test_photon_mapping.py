@@ -198,6 +198,7 @@ def first_radius_in(
 
 
 @pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.sparse(2)
 def test_first_radius_follows_from_what_is_seen(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Not from the size of the scene, and not from the seed."""
     near = first_radius_in(mirrored_lamp(50.0), kind, monkeypatch)
@@ -238,6 +239,7 @@ def test_largest_radius_follows_from_the_width_of_what_is_seen(monkeypatch: pyte
 
 
 @pytest.mark.parametrize(("kind", "passes"), [("sppm", 4), ("vcm", 1)])
+@pytest.mark.sparse(2)
 def test_light_paths_of_no_pass_are_wasted(kind: str, passes: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """A last pass of a few samples would trace as many light paths as the others: films are often powers of two."""
     numbers: set[int] = set()
@@ -260,7 +262,7 @@ def test_edges_are_not_dark() -> None:
 
 @pytest.mark.parametrize("radius", [0.1, 0.0])  # 0: the default
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.sparse(2)
+@pytest.mark.sparse(4)
 def test_image_is_the_same_for_any_threads_passes_and_memory(
     kind: str, radius: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -56,6 +56,7 @@ def beam_in_fog(medium: dict[str, Any]) -> dict[str, Any]:
     "sigma_t", [(0.8, 0.8, 0.8), pytest.param((0.3, 0.8, 1.5), marks=slow)], ids=("grey", "coloured")
 )
 @pytest.mark.sparse(2)
+@pytest.mark.slow
 def test_beam_scattered_once(kind: str, sigma_t: tuple[float, ...]) -> None:
     """The light of a beam on its way up, scattered to the side, and what the fog on both ways leaves of it."""
     scene = beam_in_fog(fog(colour(*sigma_t), colour(0.9, 0.5, 0.2)))

@@ -81,7 +81,7 @@ INTEGRATORS: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(6)
 @pytest.mark.parametrize("integrator", INTEGRATORS.values(), ids=INTEGRATORS)
 def test_integrators(integrator: dict[str, Any]) -> None:
     overlapping(box(64, "box", integrator))
@@ -112,7 +112,7 @@ def test_pixel_formats(pixel_format: str, integrator: dict[str, Any]) -> None:
     overlapping(box(64, "gaussian", integrator, pixel_format=pixel_format))
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(9)
 @pytest.mark.parametrize("sample_border", [False, True], ids=["", "border"])
 @pytest.mark.parametrize("edit", [None, crop], ids=["whole", "crop"])
 @pytest.mark.parametrize("rfilter", ["box", "tent", "gaussian", "mitchell", "catmullrom", "lanczos"])
@@ -155,7 +155,7 @@ LIT = [
 ]
 
 
-@pytest.mark.sparse(5)
+@pytest.mark.sparse(10)
 @pytest.mark.parametrize(("names", "integrator"), LIT)
 def test_lights(names: tuple[str, ...], integrator: dict[str, Any]) -> None:
     overlapping(box(64, "box", integrator, lights(*names)))
@@ -222,6 +222,7 @@ def many(scene: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     "integrator", [PATH, {"type": "direct"}, {"type": "aov", "aovs": AOVS}], ids=lambda i: i["type"]
 )
+@pytest.mark.sparse(2)
 def test_many_shapes_materials_and_lights(integrator: dict[str, Any]) -> None:
     overlapping(box(64, "box", integrator, many))
 

@@ -41,7 +41,7 @@ def scene() -> Any:
     return djpt.load_dict(box(8, "box", edit=spheres))
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(6)
 @pytest.mark.parametrize("kind", [*WITH_ROULETTE, *WITHOUT])
 def test_depths_share_a_kernel(kind: str, scene: Any) -> None:
     """The first render is left out: what a scene computes once belongs to it."""
@@ -108,7 +108,7 @@ def test_depths_of_guides_share_a_kernel(scene: Any) -> None:
     assert guides(1) == guides(3) == guides(9)
 
 
-@pytest.mark.sparse(6)
+@pytest.mark.sparse(12)
 @pytest.mark.parametrize("kind", ["path", "path_nee", "volpath", "ptracer", "bdpt", "sppm", "vcm", "prb_projective"])
 def test_depths_may_be_edited(kind: str, scene: Any) -> None:
     """The images before and after an edit are those of integrators that were made with these depths."""

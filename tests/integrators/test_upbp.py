@@ -52,6 +52,7 @@ def random_segments(count: int, spread: float, length: float, seed: int) -> tupl
 
 @pytest.mark.parametrize("length", [0.0, 0.5], ids=["balls", "capsules"])
 @pytest.mark.parametrize("radius", [0.03, 0.2])
+@pytest.mark.sparse(2)
 def test_grid_finds_what_rays_meet(length: float, radius: float) -> None:
     """Each ball and capsule once, where the nearest point of the ray is in the box, as brute force does."""
     count, rays, low, high = 2000, 300, np.array([-1, -1, -0.5]), np.array([1, 1, 0.5])

@@ -184,6 +184,7 @@ def test_edits_renew_the_choice_and_compile_nothing() -> None:
 
 
 @pytest.mark.parametrize("name", ["area lights", "point lights"])
+@pytest.mark.sparse(2)
 def test_benchmark_scenes_render(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "path", [*sys.path, str(ROOT / "benchmarks")])
     import many_lights

@@ -101,7 +101,7 @@ def strength(scene: Any, es: EmissionSample) -> np.ndarray:
 
 @pytest.mark.parametrize("source", sources())
 class TestEmission:
-    @pytest.mark.sparse(3)
+    @pytest.mark.sparse(15)
     def test_weight_is_emitted_light_over_densities(self, source: dict[str, Any] | str) -> None:
         scene = scene_of(source)
         es = emitted(scene)
@@ -123,6 +123,7 @@ class TestEmission:
             # Directions are rounded at the edges of cones and pictures, and at grazing angles.
             assert np.isclose(found, drawn, rtol=2e-3, atol=1e-6 * drawn.max()).mean() > 0.995
 
+    @pytest.mark.sparse(13)
     def test_record_is_consistent(self, source: dict[str, Any] | str) -> None:
         scene = scene_of(source)
         es, emitter = emitted(scene, seed=2), scene.emitters()[0]
@@ -164,7 +165,7 @@ class TestEmission:
             close = np.isclose(wide(found), wide(drawn), rtol=5e-3, atol=1e-3 * wide(drawn).max())
             assert close[same].mean() > 0.98
 
-    @pytest.mark.sparse(32)
+    @pytest.mark.sparse(64)
     def test_directions_follow_the_density(self, source: dict[str, Any] | str) -> None:
         scene = scene_of(source)
         emitter, es = scene.emitter_ptr(UInt32(0)), emitted(scene, COUNT, seed=4)
@@ -192,7 +193,7 @@ class TestEmission:
         assert integral == pytest.approx(1, abs=5e-3)
         assert p > SIGNIFICANCE
 
-    @pytest.mark.sparse(16)
+    @pytest.mark.sparse(32)
     def test_positions_follow_the_density(self, source: dict[str, Any] | str) -> None:
         scene = scene_of(source)
         es = emitted(scene, COUNT, seed=5)

@@ -75,7 +75,7 @@ def test_density_integrates_to_one(rows: int, columns: int, kind: str) -> None:
     assert integral == pytest.approx(1, abs=1e-3)
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(6)
 @pytest.mark.parametrize("compensation", [False, True])
 @pytest.mark.parametrize("kind", ("plain", "gradient"))
 @pytest.mark.parametrize(("rows", "columns"), SIZES)
@@ -129,7 +129,7 @@ def test_compensated_rays_carry_all_the_light() -> None:
 # ---------------------------------------------------------------- Mitsuba
 
 
-@pytest.mark.sparse(4)
+@pytest.mark.sparse(8)
 @pytest.mark.parametrize("keys", [{}, {"scale": 1.7, "to_world": TURNED}, {"mis_compensation": True}], ids=str)
 @pytest.mark.parametrize(("rows", "columns"), [(5, 7), (33, 64), (64, 33), (3, 50)])
 def test_methods_are_mitsubas(rows: int, columns: int, keys: dict[str, Any]) -> None:
@@ -156,6 +156,7 @@ def test_methods_are_mitsubas(rows: int, columns: int, keys: dict[str, Any]) -> 
 
 
 @pytest.mark.parametrize("integrator", ["path", "direct"])
+@pytest.mark.sparse(2)
 def test_compensated_image(tmp_path: Path, integrator: str) -> None:
     djpt.write(tmp_path / "sky.pfm", texels(16, 33, "gradient"))
     sky = {"type": "envmap", "filename": str(tmp_path / "sky.pfm"), "mis_compensation": True, "scale": 0.2}

@@ -61,7 +61,7 @@ def scene_of(light: dict[str, Any] | str) -> Any:
 
 @pytest.mark.parametrize("light", lights())
 class TestDirections:
-    @pytest.mark.sparse(42)
+    @pytest.mark.sparse(84)
     def test_directions_follow_the_density(self, light: dict[str, Any] | str) -> None:
         """Of the directions that bring light: what light sampling draws is what a ray in that direction finds."""
         scene = scene_of(light)
@@ -181,6 +181,7 @@ def test_densities_where_rays_graze_a_curved_light(rim: Any) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
+@pytest.mark.sparse(9)
 def test_no_point_of_space_gives_nonsense(name: str) -> None:
     """At the light itself, behind it, far away: weights are finite and not negative."""
     scene = lit(light=entry(name))
@@ -290,7 +291,7 @@ def test_rays_are_mitsubas(name: str) -> None:
     assert agree.mean() > 0.998
 
 
-@pytest.mark.sparse(5)
+@pytest.mark.sparse(10)
 @pytest.mark.parametrize("name", [name for name in NAMES if name not in HIDDEN])
 def test_rays_bring_the_light_that_is_sampled(name: str) -> None:
     """What a disk of the ground receives: by rays from the light, and by directions towards the light."""

@@ -175,6 +175,7 @@ def test_the_small_sun_is_found_as_often_as_claimed() -> None:
 
 
 @pytest.mark.parametrize("keys", [{}, {"turbidity": 6.3, "complex_sun": True, "sun_scale": 0.2}], ids=["plain", "hazy"])
+@pytest.mark.sparse(2)
 def test_equal_pixels_with_the_true_sun(keys: dict[str, Any]) -> None:
     pytest.importorskip("mitsuba")
     scene = floor_scene({"light": sky(sun_direction=[-1, 2, 1.5], to_world=UPRIGHT, **keys)})

@@ -240,6 +240,7 @@ def seen(scene: dict[str, Any]) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("kind", ["bitmap", "nearest bitmap", "turned bitmap"])
+@pytest.mark.sparse(2)
 def test_the_light_itself_shows_its_texture(kind: str) -> None:
     """No BSDF looks at uv here: the light does."""
     pytest.importorskip("mitsuba")
@@ -373,6 +374,7 @@ def test_one_texture_for_a_light_and_a_wall() -> None:
 
 
 @pytest.mark.parametrize("shapes", [((5, 7, 3), (5, 7, 3)), ((5, 7, 3), (6, 8, 3)), ((5, 7, 3), (40, 3, 1))], ids=str)
+@pytest.mark.sparse(2)
 def test_lights_keep_their_pictures_apart(shapes: Any) -> None:
     """Two lights that are traced as one, or as two."""
     pytest.importorskip("mitsuba")

@@ -69,6 +69,7 @@ def test_an_instant_is_a_sunsky(complex_sun: bool) -> None:
         assert far_apart(a, b, 2e-4) < 2e-3  # at the edge of the disc
 
 
+@pytest.mark.slow
 def test_the_same_sky_as_mitsubas() -> None:
     """Where Mitsuba's dates are exact, samples and densities agree for each number."""
     mi = pytest.importorskip("mitsuba")
@@ -95,6 +96,7 @@ def test_the_same_choice_between_sky_and_sun_as_mitsubas() -> None:
 
 
 @pytest.mark.parametrize("time", [0.1, 0.52])
+@pytest.mark.sparse(2)
 def test_directions_follow_the_density(time: float) -> None:
     emitter = djpt.load_dict(sky(sun_aperture=30.0, **AT_THREE))
     count, here = 2**17, Float(time)

@@ -50,6 +50,7 @@ def ended(work: str, seconds: float, folder: Path) -> tuple[int, str, str]:
 
 @pytest.mark.sparse(4)
 @pytest.mark.parametrize("name", WORK)
+@pytest.mark.slow
 def test_a_process_ends_while_a_daemon_thread_renders(name: str, tmp_path: Path) -> None:
     for seconds in (0.0, 0.05, 0.2):
         assert ended(WORK[name], seconds, tmp_path) == (3, "", "")

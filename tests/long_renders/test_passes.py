@@ -35,7 +35,7 @@ def last(scene: Scene, **options: Any) -> djpt.Accumulation:
     return result
 
 
-@pytest.mark.sparse(8)
+@pytest.mark.sparse(16)
 @pytest.mark.parametrize("sampler", SAMPLERS)
 @pytest.mark.parametrize("rfilter", ["box", "gaussian"])
 def test_going_on_gives_the_bits_of_a_longer_render(sampler: str, rfilter: str) -> None:
@@ -50,6 +50,7 @@ def test_going_on_gives_the_bits_of_a_longer_render(sampler: str, rfilter: str) 
 
 @pytest.mark.parametrize("sampler", SAMPLERS)
 @pytest.mark.parametrize("rfilter", ["box", "gaussian"])
+@pytest.mark.sparse(3)
 def test_one_round_is_a_plain_render(sampler: str, rfilter: str) -> None:
     scene = box(sampler, rfilter)
     np.testing.assert_array_equal(
@@ -103,7 +104,7 @@ def test_the_image_is_the_mean_of_the_rounds() -> None:
     np.testing.assert_allclose(last(scene, spp=24, round_spp=8, seed=9).image().numpy(), np.mean(rounds, 0), rtol=1e-6)
 
 
-@pytest.mark.sparse(4)
+@pytest.mark.sparse(8)
 @pytest.mark.parametrize("sampler", SAMPLERS)
 @pytest.mark.parametrize("rfilter", ["box", "gaussian"])
 def test_a_last_round_is_smaller(sampler: str, rfilter: str) -> None:

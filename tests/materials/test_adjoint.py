@@ -58,7 +58,7 @@ class TestAdjoint:
         np.testing.assert_array_equal(np.array(pdf), np.array(material.pdf(LIGHT, si, Vector3f(wo))))
         np.testing.assert_array_equal(np.array(back), np.array(material.pdf(CAMERA, turned, Vector3f(wi))))
 
-    @pytest.mark.sparse(3)
+    @pytest.mark.sparse(6)
     def test_weight_is_value_over_density(self, name: str) -> None:
         material, si = in_kernel(bsdf(name)), tilted(interaction(Vector3f(directions(5)[0]), width=COUNT))
         u = uniform(COUNT, 3)

@@ -123,7 +123,7 @@ def misspelt_scale() -> dict[str, Any]:
 # ---------------------------------------------------------------- against Mitsuba
 
 
-@pytest.mark.sparse(5)
+@pytest.mark.sparse(10)
 @pytest.mark.parametrize("shadowed", [True, False], ids=["shadowed", "plain"])
 @pytest.mark.parametrize("flipped", [True, False], ids=["flipped", "unflipped"])
 @pytest.mark.parametrize("nested", ["diffuse", "two-sided", "rough"])
@@ -175,7 +175,7 @@ def scene(map_: str, nested: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(6)
 @pytest.mark.parametrize("nested", NESTED)
 @pytest.mark.parametrize("map_", ["normals", "heights"])
 def test_pictures_are_mitsubas(map_: str, nested: str) -> None:

@@ -63,6 +63,7 @@ def test_values_by_the_formula(kind: str) -> None:
 
 @pytest.mark.parametrize("exponent", [0.01, 0.5, 2.0, 10.0, 100.0, 1000.0])
 @pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.sparse(3)
 def test_a_highlight_reflects_at_most_its_colour(kind: str, exponent: float) -> None:
     """All of it straight on, if the highlight is the whole material, and never more."""
     bsdf = load(kind, diffuse_reflectance=0.0, specular_reflectance=1.0, exponent=exponent)
@@ -143,7 +144,7 @@ def test_edits_that_reflect_too_much_are_taken_back(kind: str) -> None:
     params.update()
 
 
-@pytest.mark.sparse(2)
+@pytest.mark.sparse(4)
 @pytest.mark.parametrize("name", ["exponent", "specular_reflectance", "diffuse_reflectance"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_gradients_against_differences(kind: str, name: str) -> None:

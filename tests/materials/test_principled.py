@@ -117,7 +117,7 @@ def test_an_image_has_mitsubas_pixels() -> None:
 # ---------------------------------------------------------------- sampling
 
 
-@pytest.mark.sparse(10)
+@pytest.mark.sparse(20)
 @pytest.mark.parametrize("wi", WI.values(), ids=WI)
 @pytest.mark.parametrize("values", [pytest.param(v, id=name) for name, v in {**OPAQUE, **CLEAR}.items()])
 def test_samples_follow_the_density(values: dict[str, Any], wi: Any) -> None:
@@ -176,6 +176,7 @@ ENDS: list[dict[str, Any]] = [
 @pytest.mark.sparse(24)
 @pytest.mark.parametrize("color", [0.0, 1.0, [1.0, 0.0, 0.0]])
 @pytest.mark.parametrize("values", ENDS)
+@pytest.mark.slow
 def test_nothing_is_undefined_at_the_ends(values: dict[str, Any], color: Any) -> None:
     # A texture of its own switches a lobe on although it is 0.
     on = {key: {"type": "uniform", "value": v} if key != "specular" else v for key, v in values.items()}
@@ -185,12 +186,14 @@ def test_nothing_is_undefined_at_the_ends(values: dict[str, Any], color: Any) ->
 
 @pytest.mark.sparse(4)
 @pytest.mark.parametrize("eta", [1e-3, 1.0, 20.0])
+@pytest.mark.slow
 def test_nothing_is_undefined_for_odd_interfaces(eta: float) -> None:
     values = {key: value for key, value in EVERYTHING.items() if key != "specular"}
     stays_finite(described({**values, "eta": eta}))
     stays_finite(described({"eta": eta, "roughness": 0.0, "metallic": 0.5, "spec_tint": 1.0}))
 
 
+@pytest.mark.slow
 def test_without_any_sampling_nothing_is_sampled() -> None:
     rates = {f"{name}_sampling_rate": 0.0 for name in ("main_specular", "clearcoat", "diffuse_reflectance")}
     stays_finite(described({**rates, "clearcoat": 0.5}))

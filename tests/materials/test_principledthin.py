@@ -92,7 +92,7 @@ def test_an_image_has_mitsubas_pixels() -> None:
     assert agreement(ours(description, 8), theirs(description, 8), 1e-3).share >= 0.99
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(9)
 @pytest.mark.parametrize("wi", WI.values(), ids=WI)
 @pytest.mark.parametrize("values", [pytest.param(v, id=name) for name, v in SETS.items()])
 def test_samples_follow_the_density(values: dict[str, Any], wi: Any) -> None:
@@ -118,7 +118,7 @@ def test_both_sides_are_alike() -> None:
     np.testing.assert_array_equal(one, other)
 
 
-@pytest.mark.sparse(10)
+@pytest.mark.sparse(20)
 @pytest.mark.parametrize("color", [0.0, 1.0])
 @pytest.mark.parametrize("eta", [1e-3, 1.0, 20.0])
 @pytest.mark.parametrize("share", [0.0, 0.5, 1.0])

@@ -45,7 +45,7 @@ def variant() -> None:
 # ---------------------------------------------------------------- against Mitsuba
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(9)
 @pytest.mark.parametrize("mode", TransportMode)
 @pytest.mark.parametrize("name", CASES)
 def test_mitsuba_agrees(name: str, mode: TransportMode) -> None:

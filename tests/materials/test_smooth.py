@@ -133,7 +133,7 @@ def test_no_metal_of_mitsuba_is_missing() -> None:
 # ---------------------------------------------------------------- what passes straight
 
 
-@pytest.mark.sparse(6)
+@pytest.mark.sparse(12)
 @pytest.mark.parametrize("description", CASES.values(), ids=CASES)
 def test_null_transmission_is_the_null_lobe(description: dict[str, Any]) -> None:
     bsdf = djpt.load_dict(description)

@@ -68,6 +68,7 @@ CASES = [(*case, FEW) for case in QUICK] + [
 
 
 @pytest.mark.parametrize(("name", "boundary", "spp"), CASES)
+@pytest.mark.sparse(2)
 def test_furnace(name: str, boundary: str, spp: int) -> None:
     """A ball that absorbs nothing can't be seen under a white sky."""
     scene = lit_ball(FURNACES[name], BOUNDARIES[boundary], "volpathmis", rr_depth=1000, size=SIZE)

@@ -51,7 +51,7 @@ def test_a_ball_of_glowing_fog(integrator: str, sigma: tuple[float, ...]) -> Non
     np.testing.assert_allclose(image.reshape(-1, 3), np.tile(expected, (16, 1)), rtol=2e-4)
 
 
-@pytest.mark.sparse(2)
+@pytest.mark.sparse(4)
 @pytest.mark.parametrize("integrator", INTEGRATORS)
 @pytest.mark.parametrize("tint", [(1.0,), (0.3, 1.0, 1.7)], ids=["grey", "coloured"])
 def test_a_flame(integrator: str, tint: tuple[float, ...]) -> None:
@@ -101,6 +101,7 @@ NAMES = ["homogeneous", "coloured grid", *(pytest.param(n, marks=SLOW) for n in 
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("bsdf", [NULL, pytest.param(GLASS, marks=SLOW)], ids=["null", "glass"])
+@pytest.mark.sparse(2)
 def test_equilibrium(name: str, bsdf: dict[str, Any]) -> None:
     """A medium that emits what it absorbs can't be seen under the sky of its own temperature.
 

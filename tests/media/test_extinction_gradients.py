@@ -80,7 +80,7 @@ def means(scene: Any, key: str, value: np.ndarray, first_seed: int, spp: int = 4
     return np.array([np.array(djpt.render(scene, spp=spp, seed=first_seed + k), np.float64).mean() for k in range(6)])
 
 
-@pytest.mark.sparse(4)
+@pytest.mark.sparse(8)
 @pytest.mark.parametrize("density", [0, 1e-30, 1e-10, 1e-6, 1e-4])
 def test_without_matter(density: float) -> None:
     """Hardly any density: more takes light away in proportion to 1 - albedo, since the sky is equal everywhere."""
@@ -150,6 +150,7 @@ def test_scale() -> None:
     np.testing.assert_allclose(by_scale, by_texels, rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_albedo_grid() -> None:
     """By the texels of an albedo, together with the extinction."""
     albedo = np.random.default_rng(2).uniform(0.2, 0.8, (2, 2, 2, 1)).astype(np.float32)

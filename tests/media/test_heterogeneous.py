@@ -46,6 +46,7 @@ def test_furnace(channels: int) -> None:
 
 
 @pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.sparse(2)
 def test_absorption(turned: bool) -> None:
     """exp(-integral of sigma_t) along a line through the grid, by local majorants and one number per collision.
 

@@ -113,7 +113,7 @@ SCENES: dict[str, Callable[[Path], dict[str, Any]]] = {
 SLOW = ("under a map", "hidden emitters", "fog", "no media", "glowing")
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(6)
 @pytest.mark.parametrize("name", [pytest.param(k, marks=pytest.mark.slow if k in SLOW else ()) for k in SCENES])
 def test_as_flat(name: str, tmp_path: Path) -> None:
     """Equal to rounding: each sample has the same random numbers, in the same order."""

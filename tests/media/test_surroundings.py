@@ -38,7 +38,7 @@ def ball_in_fog(folder: Path, material: dict[str, Any], integrator: str) -> dict
 
 
 @pytest.mark.parametrize("name", CASES)
-@pytest.mark.sparse(2)
+@pytest.mark.sparse(4)
 def test_each_material_in_fog(name: str, tmp_path: Path) -> None:
     """The parts of the picture have Mitsuba's means."""
     scene = ball_in_fog(tmp_path, bsdf(name), "volpath")

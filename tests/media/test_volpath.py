@@ -44,6 +44,7 @@ def test_coloured_furnace(bsdf: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize("integrator", ["volpath", "volpathmis"])
+@pytest.mark.sparse(2)
 def test_absorption(integrator: str) -> None:
     """exp(-sigma_t d) through the middle of a ball, for a medium that doesn't scatter."""
     sigma = np.array([0.2, 0.5, 0.9])
@@ -232,6 +233,7 @@ def test_gradients_of_walls_behind_fog() -> None:
 
 @pytest.mark.parametrize("name", ["albedo", "sigma_t"])
 @pytest.mark.sparse(2)
+@pytest.mark.slow
 def test_gradients(name: str) -> None:
     """Path replay against differences, of a medium whose light is sampled; the derivative of the mean over images."""
     scene = djpt.load_dict(foggy_room(fog(0.8, 0.6), size=8))

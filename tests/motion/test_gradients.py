@@ -59,6 +59,7 @@ def moment(weight: Any) -> float:
     ],
 )
 @pytest.mark.sparse(3)
+@pytest.mark.slow
 def test_keyframes_of_a_square_that_passes(part: str, entry: int, expected: float) -> None:
     scene = bright(passing())
     params = djpt.traverse(scene)
@@ -217,6 +218,7 @@ def test_a_speed_of_rotation_is_found_from_one_blurred_picture() -> None:
     ("name", "weight"), [("shutter_open", lambda t: 1.0 + 0 * t), ("shutter_open_time", lambda t: t)]
 )
 @pytest.mark.sparse(2)
+@pytest.mark.slow
 def test_times_of_the_shutter(name: str, weight: Any) -> None:
     """A square goes on by its speed times the change of the moment; the shutter covers the middle of its way."""
     scene = bright(passing(), sensor={**SENSOR, "shutter_open": 0.2, "shutter_close": 0.8})

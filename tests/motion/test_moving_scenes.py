@@ -126,6 +126,7 @@ SCENES: dict[str, Callable[[], dict[str, Any]]] = {
 
 
 @pytest.mark.parametrize("name", SCENES)
+@pytest.mark.sparse(3)
 def test_a_closed_shutter_sees_the_still_scene(name: str) -> None:
     """The same samples find the same, whether rays are carried to what moves, or what moves is placed."""
     scene = djpt.load_dict(SCENES[name]())

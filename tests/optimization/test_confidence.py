@@ -27,6 +27,7 @@ def covered(errors: np.ndarray, truth: np.ndarray, half_widths: np.ndarray) -> f
 # ---------------------------------------------------------------- few numbers
 
 
+@pytest.mark.slow
 def test_standard_errors_are_those_of_repeated_searches() -> None:
     scene = floor(size=8)
     targets = pictures(scene, 1024)

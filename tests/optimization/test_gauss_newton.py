@@ -157,7 +157,7 @@ def test_messages_of_the_optimizer() -> None:
 
 
 @pytest.mark.parametrize("loss", RESIDUALS)
-@pytest.mark.sparse(2)
+@pytest.mark.sparse(4)
 def test_an_albedo_is_found_in_eight_steps(loss: str) -> None:
     scene = floor()
     targets = pictures(scene)
@@ -210,6 +210,7 @@ def test_bounds_priors_minibatches_and_coarse_textures(keeping: str) -> None:
     assert np.allclose(found.average[ball], 0.5, atol=0.1)
 
 
+@pytest.mark.slow
 def test_the_paints_of_the_cornell_box_are_found() -> None:
     description = djpt.cornell_box()
     description["sensor"]["film"].update(width=16, height=16)

@@ -66,7 +66,7 @@ def test_every_warp_has_a_density() -> None:
         assert {len(a) for a in WARP_ARGUMENTS.get(name, [()])} == {parameters}, f"add {name} to WARP_ARGUMENTS"
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(6)
 @pytest.mark.parametrize(("name", "arguments"), WARP_CASES)
 def test_warp_follows_its_density(name: str, arguments: tuple[Any, ...]) -> None:
     values, density = warped(name, arguments, Point2f(*uniform(COUNT)))

@@ -78,7 +78,7 @@ def singles(description: dict[str, Any], count: int, grid: int = 1, draws: int =
 # ---------------------------------------------------------------- Mitsuba
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(15)
 @pytest.mark.parametrize("spp", [1, 3, 10, 17, 100])
 @every(*MITSUBAS)
 def test_numbers_are_mitsubas(description: dict[str, Any], spp: int) -> None:
@@ -111,7 +111,7 @@ def test_counts_are_mitsubas(name: str) -> None:
         assert sampler.round_count(sampler.round_count(spp)) == sampler.round_count(spp)
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(6)
 @pytest.mark.parametrize("schedule", ["flat", "wave"])
 @pytest.mark.parametrize("name", ["stratified", "multijitter", "orthogonal", "ldsampler"])
 def test_pixels_are_mitsubas(name: str, schedule: str) -> None:
@@ -290,7 +290,7 @@ def test_orthogonal_arrays_stratify_all_pairs() -> None:
 # ---------------------------------------------------------------- images
 
 
-@pytest.mark.sparse(2)
+@pytest.mark.sparse(4)
 @every()
 def test_new_seeds_and_counts_compile_nothing(description: dict[str, Any]) -> None:
     scene = djpt.load_dict(floor_scene(size=8, sampler=description))
@@ -326,7 +326,7 @@ def test_schedules_agree(description: dict[str, Any]) -> None:
     np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-4)
 
 
-@pytest.mark.sparse(2)
+@pytest.mark.sparse(4)
 @every()
 def test_gradients_are_those_of_the_image(description: dict[str, Any]) -> None:
     scene = djpt.load_dict(floor_scene(size=8, sampler=description))

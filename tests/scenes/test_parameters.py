@@ -322,6 +322,7 @@ REFUSED: list[tuple[str, Any, str]] = [
 @pytest.mark.parametrize(
     ("key", "value", "message"), REFUSED, ids=[f"{key}={value!r:.20}" for key, value, _ in REFUSED]
 )
+@pytest.mark.sparse(5)
 def test_refused(params: SceneParameters, key: str, value: Any, message: str) -> None:
     before = {k: copy.copy(v) for k, v in params.items()}
     with pytest.raises(ParameterError, match=message):

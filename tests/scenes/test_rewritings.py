@@ -214,7 +214,7 @@ def test_light_that_is_sampled_is_light_that_is_met(name: str) -> None:
         assert result.passed, f"{key}: {result}"
 
 
-@pytest.mark.sparse(6)
+@pytest.mark.sparse(12)
 @pytest.mark.parametrize("name", SUBJECTS)
 def test_direct_light_is_that_of_short_paths(name: str) -> None:
     scene = small(name)

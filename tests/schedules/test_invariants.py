@@ -132,7 +132,7 @@ def test_progress_reports_every_pass() -> None:
 
 @pytest.mark.parametrize("edit", [None, spheres, lights()], ids=["box", "spheres", "lights"])
 @pytest.mark.parametrize("rfilter", ["box", "gaussian"])
-@pytest.mark.sparse(2)
+@pytest.mark.sparse(4)
 def test_flat_against_wave(rfilter: str, edit: Any) -> None:
     scene = djpt.load_dict(box(128, rfilter, PATH, edit))
     shares = []
@@ -172,7 +172,7 @@ WATCHED: dict[str, Callable[[], Watched]] = {
 
 
 @pytest.mark.parametrize("name", WATCHED)
-@pytest.mark.sparse(2)
+@pytest.mark.sparse(4)
 def test_edits_compile_nothing(name: str) -> None:
     watched = WATCHED[name]()
     if name.startswith("prb"):
@@ -218,6 +218,7 @@ def transform(watched: Watched, shape: str, motion: T) -> int:
 
 @pytest.mark.parametrize("gradients", [(), GRADIENTS], ids=["image", "gradient"])
 @pytest.mark.parametrize("name", MOVES)
+@pytest.mark.sparse(3)
 def test_moves_compile_nothing(name: str, gradients: tuple[str, ...]) -> None:
     watched = Watched(box(16, "box", {**PATH, "type": "prb"}), gradients)
     assert transform(watched, *MOVES[name]) == 0

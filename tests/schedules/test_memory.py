@@ -106,6 +106,7 @@ except djpt.RenderError as error:
         (60000, "has more than 2^32 numbers; write it row by row (djpt.render_to_file), render it in parts"),
     ],
 )
+@pytest.mark.sparse(3)
 def test_an_image_that_does_not_fit_is_refused(size: int, message: str) -> None:
     """With 1.5 GiB of addresses."""
     done = subprocess.run([sys.executable, "-c", LIMITED, str(size)], capture_output=True, text=True, check=False)

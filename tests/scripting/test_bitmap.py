@@ -160,6 +160,7 @@ CONVERSIONS = [
 
 @pytest.mark.parametrize("group", range(4))
 @pytest.mark.parametrize("transform", ["Empty", "Premultiply", "Unpremultiply"])
+@pytest.mark.sparse(3)
 def test_conversions_give_mitsubas_numbers(mi: Any, group: int, transform: str) -> None:
     """Whole numbers differ by one where Mitsuba's noise does; its curve of sRGB is exact to 4e-5."""
     for number, (form, kind, wanted, target, before, after) in enumerate(CONVERSIONS[group::4]):

@@ -70,7 +70,7 @@ def test_what_is_left_out_has_delta_lobes() -> None:
         assert all(has_flag(flags(name), BSDFFlags.Delta | BSDFFlags.Null) for name in names), plugin
 
 
-@pytest.mark.sparse(4)
+@pytest.mark.sparse(8)
 @pytest.mark.parametrize("name", slow_but_first(BSDFS, materials.plugin_of))
 def test_bsdfs(name: str) -> None:
     description = materials.bsdf(name)

@@ -153,7 +153,7 @@ def grid(dimension: int) -> tuple[np.ndarray, list[list[float]], list[list[float
     return values, at, asked
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(9)
 @pytest.mark.parametrize("normalize", [True, False])
 @pytest.mark.parametrize("dimension", range(4))
 @pytest.mark.parametrize("name", GRIDS)

@@ -28,7 +28,7 @@ def filled(module: Any, name: str | None, channels: int, active: bool = False, *
     return block
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(6)
 @pytest.mark.parametrize(
     "options",
     [{}, {"border": True}, {"normalize": True}, {"coalesce": False}, {"coalesce": False, "normalize": True}],

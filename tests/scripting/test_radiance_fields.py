@@ -76,6 +76,7 @@ def derivatives(mi: Any, name: str, **settings: Any) -> tuple[np.ndarray, np.nda
 
 
 @pytest.mark.parametrize("name", NAMES)
+@pytest.mark.sparse(2)
 def test_derivatives_are_mitsubas(mi: Any, name: str) -> None:
     """Without the decoding of sRGB, which has no derivative there."""
     mine, his = (derivatives(kind, name, srgb_primitives=False) for kind in (djpt, mi))

@@ -41,6 +41,7 @@ CALLS: list[Callable[[Any], Any]] = [
 
 
 @pytest.mark.parametrize("call", CALLS)
+@pytest.mark.sparse(13)
 def test_same_numbers(call: Callable[[Any], Any], mi: Any) -> None:
     same(call, mi, rtol=1e-7, atol=0)
 

@@ -81,6 +81,7 @@ def scene() -> Any:
 
 
 @pytest.mark.parametrize("name", ["path", "direct", "replayed_by_script"])
+@pytest.mark.sparse(2)
 def test_batches_are_rendered_and_differentiated(name: str) -> None:
     djpt.register_integrator("replayed_by_script", lambda props: djpt.ad.integrators.prb.PRBIntegrator(props))
     lit, integrator = scene(), djpt.load_dict({"type": name})

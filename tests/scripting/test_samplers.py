@@ -39,7 +39,7 @@ def require_equal(mine: Any, his: Any, lanes: int) -> None:
     np.testing.assert_allclose(a, b, rtol=0, atol=2e-7)
 
 
-@pytest.mark.sparse(12)
+@pytest.mark.sparse(24)
 @pytest.mark.parametrize(("share", "lanes"), [(1, 33), (16, 48), (4, 32)])
 @pytest.mark.parametrize("description", SAMPLERS, ids=name_of)
 def test_numbers_are_mitsubas(mi: Any, description: dict[str, Any], share: int, lanes: int) -> None:

@@ -116,7 +116,7 @@ QUERIES = [
 ]
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(6)
 @pytest.mark.parametrize("query", QUERIES)
 def test_rays(query: str, mi: Any) -> None:
     found = [eval(query.format(r=RAYS), {"m": m, "s": scene(m)}) for m in (djpt, mi)]
@@ -184,6 +184,7 @@ SHAPE_QUESTIONS = [
 
 
 @pytest.mark.parametrize("name", SHAPES)
+@pytest.mark.sparse(2)
 def test_shapes_by_themselves(name: str, mi: Any) -> None:
     known = {
         "cube": (

@@ -95,7 +95,7 @@ def assert_same(ours: Any, theirs: Any) -> None:
     np.testing.assert_allclose(numbers(ours), numbers(theirs), rtol=2e-6, atol=3e-6)
 
 
-@pytest.mark.sparse(5)
+@pytest.mark.sparse(40)
 @pytest.mark.parametrize(("name", "build", "what"), CASES, ids=[f"{name}-{what}" for name, _, what in CASES])
 def test_transforms_are_mitsubas(mi: Any, name: str, build: Any, what: str) -> None:
     ours, theirs = build(djpt, getattr(djpt, name)), build(mi, getattr(mi, name))

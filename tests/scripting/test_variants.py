@@ -24,6 +24,7 @@ def test_a_variant_for_a_block(form: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["llvm_ad_rgb", "scalar_rgb", "cuda_ad_rgb", "python"])
+@pytest.mark.sparse(2)
 def test_a_module_of_one_variant_is_djpt(name: str) -> None:
     code = f"""
 import djpt

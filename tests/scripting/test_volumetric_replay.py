@@ -50,6 +50,7 @@ def test_images_are_those_of_the_plugin(around: bool) -> None:
 
 
 @pytest.mark.parametrize("name", PARAMETERS)
+@pytest.mark.sparse(3)
 def test_gradients_are_those_of_the_plugin(name: str) -> None:
     scene = foggy_room(fog(1.0, 0.8))
     mine, plain = (gradient(scene, name, i) for i in (made(), djpt.load_dict({"type": "prbvolpath", **SETTINGS})))

@@ -60,6 +60,7 @@ def lanes(value: Any, count: int) -> Any:
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("flags", [PERIMETER | SPHERE, INTERIOR, PERIMETER | SPHERE | CREASES, PERIMETER | LUNE])
+@pytest.mark.sparse(8)
 def test_samples_graze_the_shape(name: str, flags: int) -> None:
     """They can be inverted, `n` and `silhouette_d` are unit vectors perpendicular to each other, and rays pass by."""
     one, count = shape(name), 500
@@ -82,6 +83,7 @@ def test_samples_graze_the_shape(name: str, flags: int) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("creases", [False, True])
+@pytest.mark.sparse(4)
 def test_outlines_have_their_length(name: str, creases: bool) -> None:
     """The length of a part of the outline is the mean of 1 / pdf; what it looks at is seen from the viewpoint."""
     one, count = shape(name), 2001
@@ -106,6 +108,7 @@ def test_outlines_have_their_length(name: str, creases: bool) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
+@pytest.mark.sparse(2)
 def test_outlines_seen_from_far_away(name: str) -> None:
     """They have the length that they have from a hundredth of the distance, and rounding doesn't destroy them."""
     one, count = shape(name), 2001

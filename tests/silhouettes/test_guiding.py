@@ -65,6 +65,7 @@ def test_uniform_samples() -> None:
 
 @pytest.mark.parametrize("learn", [learnt_grid, learnt_octree])
 @pytest.mark.sparse(2)
+@pytest.mark.slow
 def test_guided_samples_are_unbiased_and_better(learn: Any) -> None:
     """Cells at the rim in which no sample fell are left out: a bias of less than 2 per cent here."""
     plain_mean, plain_error = estimate(djpt.ad.UniformDistr())

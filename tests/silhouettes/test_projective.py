@@ -160,6 +160,7 @@ def test_images_are_attached_to_shapes() -> None:
     "guiding",
     [{"guiding": "none"}, {"guiding": "grid"}, {"guiding": "grid", "guiding_proj": False, "guiding_rounds": 64}],
 )
+@pytest.mark.sparse(3)
 def test_ways_of_guiding(guiding: dict[str, Any]) -> None:
     name = "the shadow of a sphere"
     theta, room = attached(name)
@@ -170,6 +171,7 @@ def test_ways_of_guiding(guiding: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize("algorithm", ["walk", "jump"])
+@pytest.mark.sparse(2)
 def test_ways_to_project_onto_meshes(algorithm: str) -> None:
     _, room = attached("the shadow of a mesh")
     estimator = integrator("direct_projective")

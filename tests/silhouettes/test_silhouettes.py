@@ -241,6 +241,7 @@ def scene(m: Any) -> Any:
 
 @pytest.mark.sparse(4)
 @pytest.mark.parametrize("flags", [PERIMETER | INTERIOR | 4, PERIMETER | INTERIOR | 8, PERIMETER | 4])
+@pytest.mark.slow
 def test_silhouettes_of_scenes_are_mitsubas(flags: int) -> None:
     ours, theirs = scene(djpt), scene(mi)
     assert ours.shapes_grad_enabled() and len(ours.silhouette_shapes()) == len(theirs.silhouette_shapes()) == 3

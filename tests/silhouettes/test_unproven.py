@@ -510,6 +510,7 @@ def test_curves_in_deeper_paths() -> None:
 
 
 @pytest.mark.parametrize(("gap", "cut"), [(0.9, True), (2.5, False)])
+@pytest.mark.sparse(2)
 def test_meshes_that_cut_themselves(gap: float, cut: bool) -> None:
     """Two balls in one mesh, that overlap or not."""
     ball = globe()

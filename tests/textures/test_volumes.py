@@ -43,6 +43,7 @@ def ball(module: Any = djpt, numbers: np.ndarray = NUMBERS, **keys: Any) -> dict
 
 @pytest.mark.parametrize("channels", [1, 3])
 @pytest.mark.parametrize("filter_type", ["trilinear", "nearest"])
+@pytest.mark.sparse(2)
 def test_pixels_are_mitsubas(mi: Any, channels: int, filter_type: str) -> None:
     keys = {"numbers": NUMBERS[..., :channels].copy(), "filter_type": filter_type}
     a = np.array(djpt.render(djpt.load_dict(ball(**keys)), spp=8, seed=3))

@@ -207,6 +207,7 @@ def test_the_command_line(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("key", ["light.to_world", "lamp.position"])
 @pytest.mark.sparse(2)
+@pytest.mark.slow
 def test_motions_of_lights(key: str) -> None:
     """On a floor without shadows, where there is little noise."""
     film = {"type": "hdrfilm", "width": 8, "height": 8, "rfilter": {"type": "box"}}
@@ -226,6 +227,7 @@ def test_motions_of_lights(key: str) -> None:
 
 @pytest.mark.parametrize("key", ["sensor.to_world", "sensor.x_fov", "ball.to_world"])
 @pytest.mark.sparse(3)
+@pytest.mark.slow
 def test_motions(key: str) -> None:
     """Shapes and cameras are moved as a whole; noise of silhouettes hides small errors."""
     film = {"type": "hdrfilm", "width": 16, "height": 16, "rfilter": {"type": "box"}}

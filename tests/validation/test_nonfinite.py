@@ -113,6 +113,7 @@ def test_a_light_whose_samples_are_infinite() -> None:
 
 
 @pytest.mark.parametrize("fault", ["derivative", "derivative by a texel"])
+@pytest.mark.sparse(2)
 def test_a_derivative(fault: str) -> None:
     texels = np.zeros((2, 2, 3), np.float32)
     bitmap = {"type": "bitmap", "data": texels, "raw": True}

@@ -55,6 +55,7 @@ FAMILIES = families()
 @pytest.mark.sparse(6)
 @pytest.mark.parametrize("equal_variance", [True, False])
 @pytest.mark.parametrize("counts", [(3, 3), (4, 9)])
+@pytest.mark.slow
 def test_noise_is_accepted_at_the_stated_rate(equal_variance: bool, counts: tuple[int, int]) -> None:
     trials, significance = 400, 0.05
     rng = np.random.default_rng(1)
@@ -160,7 +161,7 @@ def test_the_mean_sees_what_pixels_do_not() -> None:
     assert all(planted(rng, "mean, independent pixels", 0.05, ALL) for _ in range(5))
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(6)
 @pytest.mark.parametrize("family", FAMILIES)
 def test_detectable_is_what_is_seen_every_second_time(family: str) -> None:
     rng = np.random.default_rng(6)

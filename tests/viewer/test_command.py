@@ -27,6 +27,7 @@ def viewing(*options: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
 
 @pytest.mark.parametrize("options", [("--width", "512", "--height", "512"), ("--width", "64", "--spp", "1")])
 @pytest.mark.sparse(2)
+@pytest.mark.slow
 def test_ctrl_c_ends_it_though_a_page_has_stopped_reading(options: tuple[str, ...]) -> None:
     with viewing(*options) as (process, url):
         origin = url[: url.index("/", 7)]

@@ -120,7 +120,7 @@ def attacked() -> tuple[Session, Pages]:
     return session(pages), pages
 
 
-@pytest.mark.sparse(6)
+@pytest.mark.sparse(12)
 @pytest.mark.parametrize("do", FIELDS)
 def test_no_message_ends_the_viewer(do: str, attacked: tuple[Session, Pages]) -> None:
     """Messages with anything in any field, or without a field: they are refused, or lead to a picture of numbers."""
