@@ -9,7 +9,8 @@
     By steps that all lanes of a kernel take together: see `djpt.geometry.bvh.steps`. Works everywhere.
 ``auto``
     The first of these that works on this machine, which is the fastest in nearly all cases: docs/performance.md, "Calls
-    and steps".
+    and steps". If it is one of the first two, few flat faces are all tested instead: see
+    `djpt.geometry.bvh.calls.faces`.
 """
 
 from __future__ import annotations
@@ -40,4 +41,4 @@ def chosen() -> str:
 def new_trees() -> StepTrees | CompiledTrees:
     """The trees of a new scene."""
     search = chosen()
-    return CompiledTrees(search) if search in SEARCHES else StepTrees()
+    return CompiledTrees(search, asked_for() == "auto") if search in SEARCHES else StepTrees()

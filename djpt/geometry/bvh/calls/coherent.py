@@ -16,7 +16,6 @@ from collections.abc import Callable, Sequence
 from functools import reduce
 
 from djpt.geometry.bvh.calls.layout import (
-    ANY_HIT,
     CHILD_ROW,
     CHILDREN,
     EXTENT_WORD,
@@ -27,10 +26,11 @@ from djpt.geometry.bvh.calls.layout import (
     ROOT,
     ROW_BYTES,
 )
+from djpt.geometry.bvh.calls.packet_hits import Packet, PacketHits
 from djpt.geometry.bvh.calls.ray import ROW, Features, RayTerms, TriangleTest, overlap
-from djpt.geometry.bvh.calls.traversal import B1, B2, BLOCKED, FIELDS, INSIDE, RECORD, STACK, lines_of
+from djpt.geometry.bvh.calls.traversal import B1, B2, INSIDE, RECORD, STACK
 from djpt.jit.llvm.arithmetic import abs, across_lanes, any_of, bit_count, fma, lowest_bit, maximum, minimum, select
-from djpt.jit.llvm.ir import F32, I1, I8, I32, I64, LINE, Function, Loop, Type, Value, vector
+from djpt.jit.llvm.ir import F32, I8, I32, I64, LINE, Function, Loop, Type, Value
 
 __all__ = ["CoherentSearch"]
 
@@ -50,21 +50,12 @@ NONE = 0xFFFFFFFF
 """No child."""
 
 
-class CoherentSearch:
+class CoherentSearch(Packet):
     """The search for coherent packets; the function is being built."""
 
     def __init__(self, f: Function, any_hit: bool, features: Features, width: int) -> None:
-        self.f, self.any_hit, self.features, self.width = f, any_hit, features, width
-        self.valid, self.scene, _, self.rays = f.parameters
-        self.row, self.words = vector(F32, width), vector(I32, width)
-        self.o, self.d = lines_of(self.rays, width)
+        super().__init__(f, any_hit, features, width)
         self.terms = RayTerms.of(self.o, self.d)
-        self.active = f.load(self.words, self.valid, align=4) != 0
-
-    def array(self, field: str | int, type: Type | None = None) -> Value:
-        """The numbers of all lanes."""
-        index = FIELDS[field] if isinstance(field, str) else field
-        return self.f.load(type or self.row, self.rays.at(4 * self.width * index), align=self.row.size)
 
     def build(self) -> None:
         """Search for a packet that is coherent and return; go on with what is built next for others."""
@@ -134,23 +125,15 @@ class PacketSearch:
     def __init__(self, packet: CoherentSearch, first: Value, radius: Value) -> None:
         """`first` is a lane that is active."""
         f, terms = packet.f, packet.terms
-        self.f, self.packet, self.terms, self.row, self.words = f, packet, terms, packet.row, packet.words
+        self.f, self.packet, self.terms = f, packet, terms
         self.near = [x.lane(first).to(I64) for x in terms.near]
         self.far = [x ^ ROW_BYTES for x in self.near]
         self.axes = [x.lane(first).to(I64) for x in terms.axes]
         self.beam = Beam(packet, self.near, radius)
-        self.maxt = f.variable(self.row, packet.array("maxt"))
-        self.limit = f.variable(self.row, select(packet.active, self.maxt.value, float("-inf")))
-        """Where each ray ends, or its closest hit; negative where no hit is wanted any more."""
-        self.reach = f.variable(F32, across_lanes(self.limit.value, maximum).lane(0))
+        self.hits = PacketHits(packet, [] if packet.any_hit else [B1, B2, RECORD, INSIDE])
+        self.reach = f.variable(F32, across_lanes(self.hits.limit.value, maximum).lane(0))
         """The largest of the limits."""
-        self.hits = (
-            []
-            if packet.any_hit
-            else [f.variable(self.words, packet.array(k, self.words)) for k in (B1, B2, RECORD, INSIDE)]
-        )
-        self.flags = packet.array("flags", self.words)
-        self.references, self.distances = f.array(I32, STACK), f.array(self.row, STACK)
+        self.references, self.distances = f.array(I32, STACK), f.array(packet.row, STACK)
         self.top = f.variable(I64, 0)
         self.current = f.variable(I32, ROOT)
 
@@ -163,18 +146,7 @@ class PacketSearch:
                 self.descend(descent, search)
             self.visit_leaf(search)
             self.pop(search, search)
-        if self.packet.any_hit:
-            blocked = self.packet.active & (self.limit.value < 0.0)
-            self.write("maxt", select(blocked, BLOCKED, self.maxt.value))
-        else:
-            self.write("maxt", self.maxt.value)
-            for field, found in zip((B1, B2, RECORD, INSIDE), self.hits, strict=True):
-                self.write(field, found.value)
-
-    def write(self, field: str | int, values: Value) -> None:
-        """Write the numbers of all lanes."""
-        index = FIELDS[field] if isinstance(field, str) else field
-        self.f.store(values, self.packet.rays.at(4 * self.packet.width * index), align=self.row.size)
+        self.hits.write()
 
     def at(self, reference: Value) -> Value:
         """The node or leaf of a reference."""
@@ -187,7 +159,7 @@ class PacketSearch:
         f, node = self.f, self.at(self.current.value)
         planes = [[f.load(ROW, node.at(rows[a]), align=ROW_BYTES) for a in range(3)] for rows in (self.near, self.far)]
         remaining = f.variable(I32, self.beam.meets(planes[0], planes[1], self.reach.value))
-        nearest, distance = f.variable(I32, NONE), f.variable(self.row, float("inf"))
+        nearest, distance = f.variable(I32, NONE), f.variable(self.packet.row, float("inf"))
         with f.loop() as children:
             bits = remaining.value
             children.stop_if(bits == 0)
@@ -222,7 +194,7 @@ class PacketSearch:
             planes = [f.load(F32, node.at(rows[a]).at(slot)).spread(width) for a in range(3)]
             return [fma(planes[a], terms.inverse[a], terms.shift[a]) for a in range(3)]
 
-        return overlap(distances(self.near), distances(self.far), self.limit.value)
+        return overlap(distances(self.near), distances(self.far), self.hits.limit.value)
 
     def push(self, reference: Value, distance: Value) -> None:
         """Let a child wait."""
@@ -240,7 +212,7 @@ class PacketSearch:
                 search.stop()
             self.top.value = count - 1
             self.current.value = self.references[count - 1]
-            onward.again_if(any_of(self.distances[count - 1] < self.limit.value))
+            onward.again_if(any_of(self.distances[count - 1] < self.hits.limit.value))
 
     # ---- leaves ------------------------------------------------------------------------------------
 
@@ -259,13 +231,20 @@ class PacketSearch:
             test = self.test(leaf, slot)
             # No branch: whether any ray hits can't be predicted.
             t, *weights = test.distance()
-            hit = test.inside & (t > 0.0) & (t < self.limit.value)
+            hit = test.inside & (t > 0.0) & (t < self.hits.limit.value)
             record = f.load(I32, leaf.at(NUMBER_ROW).at(slot)) + f.load(I32, self.packet.scene)
             if self.packet.features.lights or self.packet.features.one_sided:
                 triangles.again_if(~any_of(hit))
-                hit = hit & ~self.passes(record)
-            self.note(hit, t, weights, record, search)
-        self.reach.value = across_lanes(self.limit.value, maximum).lane(0)
+                hit = hit & ~self.hits.passes(record)
+            if self.packet.any_hit:
+                self.hits.note(hit, t, [])
+                search.stop_if(~any_of(self.hits.limit.value > 0.0))
+            else:
+                # The kernel will read the record.
+                f.prefetch(self.packet.scene.at(record.to(I64) * ROW_BYTES))
+                b1, b2 = (weight.bits_as(self.packet.words) for weight in weights)
+                self.hits.note(hit, t, [b1, b2, record.spread(self.packet.width), f.constant(self.packet.words, 0)])
+        self.reach.value = across_lanes(self.hits.limit.value, maximum).lane(0)
 
     def test(self, leaf: Value, slot: Value) -> TriangleTest:
         """Test one triangle with all rays."""
@@ -275,30 +254,3 @@ class PacketSearch:
             return f.load(F32, leaf.at(axis).at(3 * ROW_BYTES * corner).at(slot)).spread(width)
 
         return TriangleTest.of(coordinate, self.axes, self.terms.origin, self.terms.shear)
-
-    def passes(self, record: Value) -> Value:
-        """The rays that pass through the triangle at a record."""
-        f, features, width = self.f, self.packet.features, self.packet.width
-        passes = f.constant(vector(I1, width), 0)
-        if features.lights:
-            passes = features.passed(f, self.packet.scene, record, self.flags)
-        if features.one_sided:
-            passes = passes | features.behind(f, self.packet.scene, record, self.packet.d)
-        return passes
-
-    def note(self, hit: Value, t: Value, weights: Sequence[Value], record: Value, search: Loop) -> None:
-        """Note a triangle as the closest of those rays that hit it."""
-        f = self.f
-        if self.packet.any_hit:
-            self.limit.value = select(hit, float("-inf"), self.limit.value)
-            search.stop_if(~any_of(self.limit.value > 0.0))
-            return
-        # The kernel will read the record.
-        f.prefetch(self.packet.scene.at(record.to(I64) * ROW_BYTES))
-        b1, b2 = (weight.bits_as(self.words) for weight in weights)
-        found = (b1, b2, record.spread(self.packet.width), f.constant(self.words, 0))
-        for variable, value in zip(self.hits, found, strict=True):
-            variable.value = select(hit, value, variable.value)
-        self.maxt.value = select(hit, t, self.maxt.value)
-        ends = select((self.flags & ANY_HIT) != 0, float("-inf"), t)
-        self.limit.value = select(hit, ends, self.limit.value)

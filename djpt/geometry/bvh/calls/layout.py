@@ -4,12 +4,14 @@
 part            rows  contents
 ==============  ====  ==========================================================================
 header          8     word 0: row of the first triangle's record; word 1: of the first placed record;
-                      words 2, 3: the tree's radius, and the usual size of its triangles, as floats
+                      words 2, 3: the tree's radius, and the usual size of its triangles, as floats;
+                      words 4 to 6: row of its faces' tables, number of their corners and of faces
 node            8     2 a: low planes of the eight children along axis a; 2 a + 1: high planes;
                       6: references to the children; 7: unused
 leaf            10    3 k + a: coordinate a of corner k of eight triangles; 9: their numbers
 placed          2     map into the primitive's space, 3 x 4 floats; label, detail, side, unused
 triangle        1     way through, unit normal, label, face, direction of dp/du
+faces                 if they are few: see `djpt.geometry.bvh.calls.faces`
 ==============  ====  ==========================================================================
 
 A reference is the row of a node; with LEAF, the row of a leaf; with PLACED, the number of a placed primitive
@@ -33,6 +35,7 @@ __all__ = [
     "CHILDREN",
     "CHILD_ROW",
     "EXTENT_WORD",
+    "FACES_WORD",
     "HEADER_ROWS",
     "LEAF",
     "LEAF_ROWS",
@@ -53,6 +56,9 @@ ROW_WORDS, ROW_BYTES = 8, 32
 HEADER_ROWS, NODE_ROWS, LEAF_ROWS = 8, 8, 10
 EXTENT_WORD = 2
 """The word of the header that holds the radius, before the size of triangles."""
+
+FACES_WORD = 4
+"""The word of the header that says where the faces begin, before their number and margin."""
 
 CHILDREN = 8
 """The children of a node, and the triangles of a leaf."""

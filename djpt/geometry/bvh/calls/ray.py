@@ -14,13 +14,47 @@ from djpt.jit.llvm import arithmetic
 from djpt.jit.llvm.arithmetic import abs, copysign, fma, maximum, minimum, select
 from djpt.jit.llvm.ir import F32, I32, I64, Function, Type, Value, vector
 
-__all__ = ["ROW", "BoxRay", "Features", "Placed", "PlaneRay", "RayTerms", "TriangleTest", "Triple", "overlap"]
+__all__ = [
+    "ROW",
+    "AxisOrder",
+    "BoxRay",
+    "Features",
+    "Placed",
+    "PlaneRay",
+    "RayTerms",
+    "TriangleTest",
+    "Triple",
+    "overlap",
+    "sheared",
+]
 
 ROW = vector(F32, CHILDREN)
 """A number for each child of a node, or for each triangle of a leaf."""
 
 SMALL = 1e-18
 """Components of directions closer to 0 are replaced: 0 x inf would arise where the origin lies in a plane of a box."""
+
+
+@dataclass
+class AxisOrder:
+    """The cyclic order of axes in which the one along which a direction is longest comes last."""
+
+    last_z: Value
+    last_x: Value
+    """Counts where `last_z` is false."""
+
+    @staticmethod
+    def of(d: Sequence[Value]) -> AxisOrder:
+        """The order for a direction, or for each of several."""
+        x, y, z = (abs(component) for component in d)
+        return AxisOrder((z >= x) & (z >= y), x >= y)
+
+    def apply(self, values: Sequence[Value]) -> list[Value]:
+        """Put one value per axis in this order."""
+        return [
+            select(self.last_z, values[k], select(self.last_x, values[(k + 1) % 3], values[(k + 2) % 3]))
+            for k in range(3)
+        ]
 
 
 @dataclass
@@ -54,20 +88,15 @@ class RayTerms:
         f, integer = d[0].function, Type("i", 32, d[0].type.lanes)
         numbers = [f.constant(integer, ROW_BYTES * k) for k in range(2 * 3)]
         near = [select(inverse[a] < 0.0, numbers[2 * a + 1], numbers[2 * a]) for a in range(3)]
-        x, y, z = (abs(component) for component in d)
-        last_z, last_x = (z >= x) & (z >= y), x >= y
-
-        def ordered(values: Sequence[Value], k: int) -> Value:
-            return select(last_z, values[k], select(last_x, values[(k + 1) % 3], values[(k + 2) % 3]))
-
-        along = [ordered(d, k) for k in range(3)]
+        order = AxisOrder.of(d)
+        along = order.apply(d)
         slope = 1.0 / along[2]
         return RayTerms(
             inverse,
             shift,
             near,
-            [ordered(numbers[:3], k) for k in range(3)],
-            [ordered(o, k) for k in range(3)],
+            order.apply(numbers[:3]),
+            order.apply(o),
             [-(along[0] * slope), -(along[1] * slope), slope],
         )
 
@@ -137,6 +166,14 @@ class PlaneRay:
         return self._function.load(ROW, leaf.at(axis).at(3 * ROW_BYTES * corner), align=ROW_BYTES)
 
 
+class Triple(NamedTuple):
+    """A point or vector."""
+
+    x: Value
+    y: Value
+    z: Value
+
+
 class TriangleTest:
     """The tests of eight triangles by one ray, or of one triangle by several rays."""
 
@@ -151,22 +188,31 @@ class TriangleTest:
 
         `axes`, `origin` and `shear` are those of `RayTerms`.
         """
-        sheared, heights = [], []
-        for corner in range(3):
-            x, y, z = (coordinate(corner, axes[k]) - origin[k] for k in range(3))
-            sheared.append((fma(shear[0], z, x), fma(shear[1], z, y)))
-            heights.append(z)
-        (x0, y0), (x1, y1), (x2, y2) = sheared
+        corners = [sheared([coordinate(corner, axes[k]) - origin[k] for k in range(3)], shear) for corner in range(3)]
+        return TriangleTest.between(corners, shear[2])
+
+    @staticmethod
+    def between(corners: Sequence[Triple], inverse: Value) -> TriangleTest:
+        """Test triangles between three `sheared` corners; `inverse` is the last number of the shear."""
+        a, b, c = corners
         # Products and differences are rounded one by one: swapping the ends of an edge then changes
         # the sign of its function and nothing else.
-        edges = x2 * y1 - y2 * x1, x0 * y2 - y0 * x2, x1 * y0 - y1 * x0
-        return TriangleTest(edges, heights, shear[2])
+        edges = c.x * b.y - c.y * b.x, a.x * c.y - a.y * c.x, b.x * a.y - b.y * a.x
+        return TriangleTest(edges, [corner.z for corner in corners], inverse)
 
-    def __init__(self, edges: tuple[Value, Value, Value], heights: Sequence[Value], inverse: Value) -> None:
+    def __init__(self, edges: Sequence[Value], heights: Sequence[Value], inverse: Value) -> None:
         w0, w1, w2 = edges
         self.edges, self.heights, self._inverse = edges, heights, inverse
         self.inside = (minimum(minimum(w0, w1), w2) >= 0.0) | (maximum(maximum(w0, w1), w2) <= 0.0)
         """Where the line through the ray meets a triangle, edges included; false for NaN."""
+
+    def otherwise(self, other: TriangleTest) -> TriangleTest:
+        """This test where it is `inside`, else another one of the same rays."""
+
+        def choose(a: Sequence[Value], b: Sequence[Value]) -> list[Value]:
+            return [select(self.inside, x, y) for x, y in zip(a, b, strict=True)]
+
+        return TriangleTest(choose(self.edges, other.edges), choose(self.heights, other.heights), self._inverse)
 
     def distance(self) -> tuple[Value, Value, Value]:
         """The distances, and the weights of the second and third corners; unspecified where not `inside`.
@@ -179,6 +225,12 @@ class TriangleTest:
         inverse = 1.0 / (w0 + w1 + w2)
         t = fma(w0, z0, fma(w1, z1, w2 * z2)) * inverse * self._inverse
         return t, w1 * inverse, w2 * inverse
+
+
+def sheared(point: Sequence[Value], shear: Sequence[Value]) -> Triple:
+    """A point, seen from a ray's origin and in its order of axes, in the frame where the ray runs along z."""
+    x, y, z = point
+    return Triple(fma(shear[0], z, x), fma(shear[1], z, y), z)
 
 
 # ---- instances of groups, and analytic solids --------------------------------------------------------------------
@@ -212,14 +264,6 @@ class Features:
         x, y, z = (f.load(F32, row.at(4 * (NORMAL + axis))) for axis in range(3))
         label = f.load(I32, row.at(4 * LABEL))
         return ((label & ONE_SIDED) != 0) & (fma(x, d[0], fma(y, d[1], z * d[2])) > 0.0)
-
-
-class Triple(NamedTuple):
-    """A point or vector."""
-
-    x: Value
-    y: Value
-    z: Value
 
 
 class Placed:

@@ -19,9 +19,19 @@ from djpt.geometry.bvh.build.builder import Built, build, refit, workers
 from djpt.geometry.bvh.build.rows import corners_of, write_rows
 from djpt.geometry.bvh.build.wide import REBUILD
 from djpt.geometry.bvh.calls.crossings import LENGTHS_OF_PACKET, crossing_function
-from djpt.geometry.bvh.calls.layout import ANY_HIT, EXTENT_WORD, MEDIUM_BITS, PASSES_LIGHTS, REFERENCE, ROW_WORDS
+from djpt.geometry.bvh.calls.faces import FEW, Faces
+from djpt.geometry.bvh.calls.layout import (
+    ANY_HIT,
+    EXTENT_WORD,
+    FACES_WORD,
+    MEDIUM_BITS,
+    PASSES_LIGHTS,
+    REFERENCE,
+    ROW_WORDS,
+)
 from djpt.geometry.bvh.calls.ray import Features
 from djpt.geometry.bvh.calls.rings import ring_function
+from djpt.geometry.bvh.calls.sweep import sweep_function
 from djpt.geometry.bvh.calls.traversal import ANY, CLOSEST, name_of, packet_function
 from djpt.geometry.bvh.leaves import Extent, MeshPart, PlacedLeaves
 from djpt.geometry.query import NONE, Found, enter
@@ -222,14 +232,19 @@ def flags_of(any_hit: Bool | None, through_lights: Bool | None) -> UInt32:
 SEARCHES: dict[str, Callable[[str, int, Features], str]] = {"rings": ring_function, "call": packet_function}
 """The searches in LLVM's language, the fastest first: of the rays of a packet side by side, or one after the other."""
 
+SWEEP = "sweep"
+"""The search among few faces, which no scene is asked for."""
+
+FUNCTIONS = SEARCHES | {SWEEP: sweep_function}
+
 
 @cache
 def functions(features: Features, search: str, measures: bool = False) -> Functions:
-    """The functions of one of `SEARCHES` for scenes with some features, compiled at the first call.
+    """The functions of one of `FUNCTIONS` for scenes with some features, compiled at the first call.
 
-    If it `measures`, which only rings can, there is one that does; not for scenes with instances.
+    If it `measures`, there is one that does, by rings; not for scenes with instances.
     """
-    measures &= search == "rings" and not features.instances
+    measures &= not features.instances
     lengths = Code.at(address_of_lengths(features)) if measures else None
     closest, any_hit = addresses(features, search)
     return Functions(Code.at(closest), Code.at(any_hit), lengths)
@@ -242,7 +257,7 @@ def addresses(features: Features, search: str) -> tuple[int, int]:
     target()  # for which other threads may not be able to ask
 
     def address(kind: str) -> int:
-        return compiled(SEARCHES[search](kind, width, features), (name_of(kind),))[name_of(kind)]
+        return compiled(FUNCTIONS[search](kind, width, features), (name_of(kind),))[name_of(kind)]
 
     with ThreadPoolExecutor(2) as team:
         closest, any_hit = team.map(address, (CLOSEST, ANY))
@@ -328,9 +343,9 @@ def usual_size(corners: NDArray[np.float32], otherwise: float) -> float:
 class CompiledTrees:
     """The trees of a scene: number 0 over the world, the others over its groups."""
 
-    def __init__(self, search: str) -> None:
-        """`search` is one of `SEARCHES`."""
-        self._search = search
+    def __init__(self, search: str, sweeps: bool) -> None:
+        """`search` is one of `SEARCHES`; if it `sweeps`, few triangles are all tested in its place."""
+        self._search, self._sweeps = search, sweeps
         self._trees: dict[int, Tree] = {}
 
     def fit(self, number: int, part: MeshPart, boxes: NDArray[np.float32]) -> Extent:
@@ -368,8 +383,10 @@ class CompiledTrees:
         first_triangle = np.cumsum([starts[-1] + PLACED_ROWS * count, *(len(tree.corners) for tree in trees)])
         if first_triangle[-1] > REFERENCE:
             raise SceneError(f"the scene has too many triangles: {first_triangle[-1]} rows of 32 bytes for its trees")
-        rows = aligned((int(first_triangle[-1]), ROW_WORDS))
-        measures = any(tree.part.ways is not None for tree in trees)
+        faces = self._faces() if placed is None else None
+        end = int(first_triangle[-1])
+        rows = aligned((end + (0 if faces is None else len(faces.rows)), ROW_WORDS))
+        measures = self._search == "rings" and any(tree.part.ways is not None for tree in trees)
         for k, tree in enumerate(trees):
             own = rows[starts[k] : starts[k + 1]]
             own.ravel()[:] = tree.built.memory
@@ -377,6 +394,9 @@ class CompiledTrees:
             own[0, :2] = first_triangle[k], starts[-1] + 1
             radius = tree.built.extent.diagonal / 2
             own[0].view(np.float32)[EXTENT_WORD : EXTENT_WORD + 2] = radius, usual_size(tree.corners, radius)
+            if faces is not None:
+                own[0, FACES_WORD : FACES_WORD + 3] = faces.header(end)
+                rows[end:] = faces.rows
             records = rows[first_triangle[k] : first_triangle[k + 1]]
             part = tree.part
             with workers(len(records), None) as team:
@@ -394,7 +414,7 @@ class CompiledTrees:
             UInt32(rows.ravel()),
             functions(
                 Features(len(trees) > 1, kinds, lights, one_sided),
-                self._search,
+                SWEEP if faces is not None else self._search,
                 measures,
             ),
             as_vector(extent.center.astype(np.float64)),
@@ -403,6 +423,18 @@ class CompiledTrees:
             len(trees) > 1,
             kinds,
         )
+
+    def _faces(self) -> Faces | None:
+        """The faces of the world's triangles by their records, if all rays are to be tested against each."""
+        tree = self._trees[0]
+        # An edit that makes faces too small must not compile anew each time it is taken back.
+        self._sweeps &= len(self._trees) == 1 and len(tree.corners) <= 2 * FEW
+        if not self._sweeps:
+            return None
+        order, extent = tree.built.order, tree.built.extent
+        faces = Faces.of(tree.corners[order] - extent.center, tree.part.label_of_face()[order], extent.diagonal)
+        self._sweeps = faces is not None
+        return faces
 
     def statistics(self) -> tuple[int, int, float]:
         """Nodes and levels of all trees, and the SAH cost of the world's."""
