@@ -6,10 +6,9 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.core.records import SHADOW_EPSILON, DiscontinuityFlags, Interaction3f
+from djpt.core.records import DiscontinuityFlags, Interaction3f
 from djpt.integrators.projective.detail import seen_through
-from djpt.integrators.projective.receivers import Receiver
-from djpt.integrators.projective.splat import keep
+from djpt.integrators.projective.receivers import lit_receivers
 from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
@@ -55,17 +54,8 @@ class BeamSides:
             it = dr.zeros(Interaction3f)
             it.p = ss.p
             ds, arriving = self._light.sample_direction(it, Point2f(0), True)
-            ray = ss.spawn_ray()
-            ray.maxt = ds.dist * (1 - SHADOW_EPSILON)
-            active = dr.any(arriving != 0) & ~scene.ray_test(ray)
-            importance, place, edges, reached, viewer = integrator.sample_viewer(
-                scene, sensor, ss, integrator.max_depth, sampler, active
-            )
-            active = active & reached
-            across = dr.norm(dr.cross(ss.d, ss.silhouette_d))
-            weight = dr.select(active, importance * arriving * (across * dr.rcp(ss.pdf)), 0)
-            keep(ss, active, weight, ds.dist, place, edges, viewer)
-        it.p = Receiver(integrator, scene, sensor, ss, place, edges, viewer, active).p
+        receiver, weight, place, active = lit_receivers(integrator, scene, sensor, sampler, ss, ds, arriving, True)
+        it.p = receiver.p
         uv = self._light.sample_direction(it, Point2f(0), active)[0].uv
         u = dr.select(upright, uv.x, uv.y)
         _, _, ahead, o, half_x, half_y = self._screen()
@@ -73,7 +63,7 @@ class BeamSides:
         inverse_slope = 2 * reach * dr.dot(way, ahead) * dr.rsqrt(dr.fma(reach, reach, 1)) * sign
         rest = ds.dist * dr.rcp(dr.norm(way))
         speed = dr.select(active, (u - dr.detach(u)) * inverse_slope * rest, 0)
-        return Color3f(weight) * speed, place
+        return weight * speed, place
 
     def _screen(self) -> tuple[Vector3f, Vector3f, Vector3f, Point3f, Float, Float]:
         """The axes of the light, its place, and half of the sides of its image at the distance 1."""

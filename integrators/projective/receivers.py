@@ -6,12 +6,13 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.core.records import EmitterFlags, Ray3f, has_flag
-from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.core.records import SHADOW_EPSILON, DirectionSample3f, EmitterFlags, Ray3f, has_flag
+from djpt.integrators.projective.splat import keep
+from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.scene.intersecting_shapes import between
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
-__all__ = ["Receiver", "followed"]
+__all__ = ["Receiver", "followed", "lit_receivers"]
 
 
 GRAZING = 0.02
@@ -89,6 +90,46 @@ class Receiver:
                 moves = moves | (self._si.shape == shape)
         cosine = dr.abs(dr.dot(self._si.n, self._d))
         return dr.select(moves & self._seen, dr.rcp(dr.maximum(cosine, GRAZING)), 0)
+
+
+def lit_receivers(
+    integrator: Any,
+    scene: Any,
+    sensor: Any,
+    sampler: Any,
+    ss: SilhouetteSample3f,
+    ds: DirectionSample3f,
+    arriving: Color3f,
+    active: Bool | bool,
+) -> tuple[Receiver, Color3f, Point2f, Bool]:
+    """The points that see silhouettes in front of a light, where there is one.
+
+    Args:
+        integrator: the integrator.
+        scene: the scene.
+        sensor: the sensor.
+        sampler: random numbers for the path from the sensor.
+        ss: the silhouettes, which see the light along `ss.d`.
+        ds: the light's place and direction from there.
+        arriving: E, the light's irradiance there unless something stands in its way.
+        active: the lanes that matter.
+
+    Returns:
+        The points; W E length(t x d) by the density of samples, not attached, with t the silhouette's tangent, d the
+        direction to the light and W the importance that arrives; the places on the film; and the lanes that count.
+    """
+    with dr.suspend_grad():
+        ray = ss.spawn_ray()
+        ray.maxt = ds.dist * (1 - SHADOW_EPSILON)
+        active = active & dr.any(arriving != 0) & ~scene.ray_test(ray, active)
+        importance, place, edges, reached, viewer = integrator.sample_viewer(
+            scene, sensor, ss, integrator.max_depth, sampler, active
+        )
+        active = active & reached
+        across = dr.norm(dr.cross(ss.d, ss.silhouette_d))
+        weight = dr.select(active, importance * arriving * (across * dr.rcp(ss.pdf)), 0)
+        keep(ss, active, weight, ds.dist, place, edges, viewer)
+    return Receiver(integrator, scene, sensor, ss, place, edges, viewer, active), Color3f(weight), place, active
 
 
 def rest_of_way(passed: Float, behind: Float) -> Float:

@@ -6,11 +6,10 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.core.records import SHADOW_EPSILON, EmitterFlags, Interaction3f, has_flag
+from djpt.core.records import EmitterFlags, Interaction3f, has_flag
 from djpt.integrators.projective.detail import FAR, seen_through
 from djpt.integrators.projective.outlines import Outlines
-from djpt.integrators.projective.receivers import Receiver
-from djpt.integrators.projective.splat import keep
+from djpt.integrators.projective.receivers import lit_receivers
 from djpt.jit.types import Color3f, Point2f, Point3f, UInt32
 
 __all__ = ["ShadowEdges"]
@@ -46,21 +45,11 @@ class ShadowEdges:
             it.p = ss.p
             ds, arriving = self._light.sample_direction(it, Point2f(0), active)
             ss.d = ds.d
-            ray = ss.spawn_ray()
-            ray.maxt = ds.dist * (1 - SHADOW_EPSILON)
-            active = active & dr.any(arriving != 0) & ~scene.ray_test(ray, active)
-            importance, place, edges, reached, viewer = integrator.sample_viewer(
-                scene, sensor, ss, integrator.max_depth, sampler, active
-            )
-            active = active & reached
-            across = dr.norm(dr.cross(ss.d, ss.silhouette_d))
-            weight = dr.select(active, importance * arriving * (across * dr.rcp(ss.pdf)), 0)
-            keep(ss, active, weight, ds.dist, place, edges, viewer)
-        receiver = Receiver(integrator, scene, sensor, ss, place, edges, viewer, active)
+        receiver, weight, place, active = lit_receivers(integrator, scene, sensor, sampler, ss, ds, arriving, active)
         speed = receiver.speed_at_edge(ds.dist) - dr.dot(self._outlines.follow(ss, active) - ss.p, ss.n)
         if self._moves:
             speed += receiver.speed_by_turn(self._light.sample_direction(it, Point2f(0), active)[0].d, ds.dist)
-        return Color3f(weight) * dr.select(active, speed, 0), place
+        return weight * dr.select(active, speed, 0), place
 
 
 def seen_from(scene: Any, light: Any, infinite: bool) -> Point3f:
