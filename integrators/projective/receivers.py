@@ -121,15 +121,15 @@ def lit_receivers(
     with dr.suspend_grad():
         ray = ss.spawn_ray()
         ray.maxt = ds.dist * (1 - SHADOW_EPSILON)
-        active = active & dr.any(arriving != 0) & ~scene.ray_test(ray, active)
+        lit = Bool(active) & dr.any(arriving != 0) & ~scene.ray_test(ray, active)
         importance, place, edges, reached, viewer = integrator.sample_viewer(
-            scene, sensor, ss, integrator.max_depth, sampler, active
+            scene, sensor, ss, integrator.max_depth, sampler, lit
         )
-        active = active & reached
+        lit = lit & reached
         across = dr.norm(dr.cross(ss.d, ss.silhouette_d))
-        weight = dr.select(active, importance * arriving * (across * dr.rcp(ss.pdf)), 0)
-        keep(ss, active, weight, ds.dist, place, edges, viewer)
-    return Receiver(integrator, scene, sensor, ss, place, edges, viewer, active), Color3f(weight), place, active
+        weight = dr.select(lit, importance * arriving * (across * dr.rcp(ss.pdf)), 0)
+        keep(ss, lit, weight, ds.dist, place, edges, viewer)
+    return Receiver(integrator, scene, sensor, ss, place, edges, viewer, lit), Color3f(weight), place, lit
 
 
 def rest_of_way(passed: Float, behind: Float) -> Float:
