@@ -111,14 +111,11 @@ def of_pyvista(x: Any) -> dict[str, Any] | None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of defaults that will change
         surface = x.extract_surface().triangulate()
+    # Not the normals, which shared corners of a box have, too; pyvista's plots are flat by default.
     data = getattr(surface, "point_data", {})
-    found = {
-        name: np.asarray(data[key])
-        for name, key in (("colors", "RGB"), ("colors", "RGBA"), ("normals", "Normals"))
-        if key in data
-    }
+    colors = next((data[key] for key in ("RGB", "RGBA") if key in data), ())
     faces = np.asarray(surface.faces).reshape(-1, 4)[:, 1:]
-    return {"positions": np.asarray(surface.points), "faces": faces} | used(found)
+    return {"positions": np.asarray(surface.points), "faces": faces} | used({"colors": np.asarray(colors)})
 
 
 def used(found: Mapping[str, Any]) -> dict[str, Any]:

@@ -98,7 +98,7 @@ def test_meshes_of_others_keep_their_colours_and_normals():
     tensors.vertex |= {"colors": SimpleNamespace(numpy=lambda: np.full((4, 3), 128, np.uint8))}
     surface = OfPyvista()
     surface.point_data = {"RGB": np.full((4, 3), 128, np.uint8), "Normals": np.tile([0, 0, 1.0], (4, 1))}
-    for x, smooth in ((Painted(), True), (tensors, False), (surface, True)):
+    for x, smooth in ((Painted(), True), (tensors, False), (surface, False)):
         mesh = djpt.models.objects.description_of(x)["part_0"]["data"]
         assert np.allclose(mesh.attributes["vertex_color"], 0.2140, atol=3e-3)
         assert (mesh.normals is not None and (mesh.normals == (0, 0, 1)).all()) == smooth
