@@ -150,7 +150,9 @@ class Panorama(MappedCamera):
         # The azimuth of the turn that begins at the film's left edge.
         start = dr.detach(self.corner.x)
         phi = phi - turn * dr.floor((dr.detach(phi) - start) * (1 / turn))
-        return Point2f(phi, dr.safe_asin(d.y)), Bool(True)
+        # Near the poles an arc sine would round the elevation.
+        level = dr.sqrt(dr.maximum(dr.square(d.x) + dr.square(d.z), 1e-20))
+        return Point2f(phi, dr.atan2(d.y, level)), Bool(True)
 
     def spread(self, d: Vector3f) -> Float:
         return dr.rcp(dr.sqrt(dr.maximum(dr.square(d.x) + dr.square(d.z), 1e-20)))

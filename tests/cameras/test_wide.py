@@ -34,8 +34,7 @@ def points(sensor: Any, at: Point2f) -> Any:
 def test_points_are_shown_where_rays_lead_to_them(name: str, film: str) -> None:
     sensor, at = sensor_of(name, film), Point2f(*uniform(COUNT))
     ds, importance = sensor.sample_wi(points(sensor, at), Point2f(0.5))
-    # Near the poles of a panorama angles are rounded.
-    np.testing.assert_allclose(np.array(ds.uv), np.array(at), atol=3e-5 if name == "panorama behind" else 1e-5)
+    np.testing.assert_allclose(np.array(ds.uv), np.array(at), atol=1e-5)
     assert np.mean(np.array(importance) > 0) > 0.999
 
 
