@@ -28,7 +28,7 @@ __all__ = ["CORNER_BYTES", "FACE_BYTES", "FEW", "MOST_CORNERS", "Faces"]
 CORNER, FACE = 3, 9
 CORNER_BYTES, FACE_BYTES = 4 * CORNER, 4 * FACE
 
-FEW = 64
+FEW = 24
 """The most faces that are swept."""
 
 MOST_CORNERS = 2 * FEW

@@ -10,6 +10,7 @@ The tables are those of `djpt.geometry.bvh.calls.faces`. Functions fit every sce
 
 from __future__ import annotations
 
+from djpt.geometry.bvh.calls.coherent import CoherentSearch
 from djpt.geometry.bvh.calls.faces import CORNER_BYTES, FACE_BYTES, MOST_CORNERS
 from djpt.geometry.bvh.calls.layout import FACES_WORD, PASSES_LIGHTS, ROW_BYTES
 from djpt.geometry.bvh.calls.packet_hits import Packet, PacketHits
@@ -32,6 +33,7 @@ def sweep_function(kind: str, width: int, features: Features) -> str:
     """
     module = Module()
     with module.function(name_of(kind), PACKET) as f:
+        CoherentSearch(f, kind == ANY, features, width).build()
         Sweep(f, kind == ANY, features, width).build()
     return module.text()
 
