@@ -60,6 +60,13 @@ def sampled_from_many(
         size = 1 + dr.max(dr.abs(o)) + dr.max(dr.abs(by_u))
         return k + 1, found, by_u, dr.maximum(dr.max(dr.abs(found - o)), dr.max(dr.abs(by_u - change))) / size
 
+    if shape.of_triangles:
+        # Points of edges don't depend on the place that sees them.
+        seen_from, exists = sight(shape.sample_precomputed_silhouette(middle, part, along, active).p)
+        on_edge: SilhouetteSample3f = shape.sample_precomputed_silhouette(seen_from, part, along, active)
+        on_edge.discontinuity_type = dr.select(active & exists, on_edge.discontinuity_type, 0)
+        return on_edge
+
     lanes = dr.width(along)
     start = dr.zeros(Point3f, lanes) + middle
     state = dr.zeros(UInt32, lanes), start, dr.zeros(Vector3f, lanes), dr.full(Float, 1, lanes)
