@@ -35,8 +35,13 @@ FORMER = {
     "djpt.ad.integrators.prb_projective": "djpt.integrators.prb_projective",
     "djpt.ad.integrators.volprim_rf_basic": "djpt.integrators.volprim_rf_basic",
     "djpt.chi2": "djpt.mitsuba.chi2",
+    "djpt.filesystem": "djpt.mitsuba.filesystem",
     "djpt.math": "djpt.mitsuba.math",
+    "djpt.math_py": "djpt.mitsuba.math",
+    "djpt.misc": "djpt.mitsuba.misc",
     "djpt.quad": "djpt.mitsuba.quad",
+    "djpt.spline": "djpt.mitsuba.spline",
+    "djpt.tensor_io": "djpt.mitsuba.tensor_io",
     "djpt.util": "djpt.mitsuba.util",
     "djpt.xml": "djpt.mitsuba.xml",
 }

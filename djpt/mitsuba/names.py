@@ -120,7 +120,7 @@ EXPORTS: dict[str, str] = {
         "cie1931_xyz cie1931_y cie_d65 depolarizer linear_rgb_rec luminance pdf_rgb_spectrum sample_rgb_spectrum "
         "spectrum_from_file spectrum_list_to_srgb spectrum_to_file srgb_to_xyz unpolarized_spectrum xyz_to_srgb"
     ),
-    "djpt.mitsuba.streams": "DummyStream FileStream MemoryMappedFile MemoryStream Stream",
+    "djpt.mitsuba.streams": "DummyStream FileStream MemoryMappedFile MemoryStream Stream ZStream",
     "djpt.images.structs": "Struct StructConverter",
     "djpt.mitsuba.tensor_io": "TensorFile",
     "djpt.core.transforms.lanes": (
@@ -163,7 +163,6 @@ LOADER = "The stages of the C++ scene loader: `djpt.xml.read_file` gives a descr
 MACHINERY = "Machinery between C++ and Python that has nothing to connect here."
 BLOCKS = "Blocks of a picture: `djpt.render_to_file` renders pictures band by band, `djpt.render_passes` in rounds."
 COMMAND_LINES = "Command lines: Python has `argparse`."
-COMPRESSION = "Streams that compress: Python's `gzip` works through any stream of djpt, and `zlib` packs bytes."
 DEBUGGER = "A stop in a C++ debugger: Python has `breakpoint`."
 PLANAR = "Transforms of the line don't exist in Python: Mitsuba raises a TypeError, too."
 
@@ -191,8 +190,6 @@ REASONS: dict[str, str] = {
     "Spiral.*": BLOCKS,
     "ArgParser": COMMAND_LINES,
     "ArgParser.*": COMMAND_LINES,
-    "ZStream": COMPRESSION,
-    "ZStream.*": COMPRESSION,
 }
 """Reasons by pattern. ``*`` stands for any characters, as in file names."""
 

@@ -12,9 +12,10 @@ import struct
 import sys
 import tempfile
 import weakref
+import zlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,7 @@ from djpt.core.forms import accessors
 from djpt.description.plugin import Plugin
 from djpt.errors import FileError
 
-__all__ = ["DummyStream", "FileStream", "MemoryMappedFile", "MemoryStream", "Stream"]
+__all__ = ["DummyStream", "FileStream", "MemoryMappedFile", "MemoryStream", "Stream", "ZStream"]
 
 
 class ByteOrder(enum.Enum):
@@ -33,6 +34,9 @@ class ByteOrder(enum.Enum):
     EBigEndian = 0
     ELittleEndian = 1
     ENetworkByteOrder = 0
+
+
+NAMES = {ByteOrder.EBigEndian: "big-endian", ByteOrder.ELittleEndian: "little-endian"}
 
 
 def number(code: str, kind: str) -> tuple[Callable[[Stream], Any], Callable[[Stream, Any], None]]:
@@ -206,13 +210,21 @@ class Stream(Plugin):
     read_double, write_double = number("d", "a float64")
     read_bool, write_bool = number("?", "a bool")
 
+    def _state(self) -> dict[str, Any]:
+        """What the representation shows while the stream is open."""
+        return {
+            "host_byte_order": NAMES[self.host_byte_order()],
+            "byte_order": NAMES[self._order],
+            "can_read": int(self.can_read()),
+            "can_write": int(self.can_write()),
+        }
+
+    def _place(self) -> dict[str, Any]:
+        return {"pos": self.tell(), "size": self.size()}
+
     def __repr__(self) -> str:
-        state = (
-            "closed"
-            if self._file.closed
-            else f"byte_order = {self._order.name}, pos = {self.tell()}, size = {self.size()}"
-        )
-        return f"{self.title}[{state}]"
+        rows = ["closed"] if self._file.closed else [f"{k} = {v}" for k, v in (self._state() | self._place()).items()]
+        return f"{self.title}[\n  " + ",\n  ".join(rows) + "\n]"
 
 
 class Mode(enum.Enum):
@@ -251,6 +263,9 @@ class FileStream(Stream):
     def path(self) -> str:
         """The path."""
         return str(self._path)
+
+    def _state(self) -> dict[str, Any]:
+        return {"path": f'"{self._path}"'} | super()._state()
 
     def write(self, arg: bytes, /) -> int:
         with errors_of_writing(self._path):
@@ -294,6 +309,9 @@ class MemoryStream(Stream):
         """All bytes."""
         return self._buffer.getvalue()
 
+    def _state(self) -> dict[str, Any]:
+        return super()._state() | {"owns_buffer": int(self.owns_buffer()), "capacity": self.capacity()}
+
 
 class Counter(io.BytesIO):
     """A file that can't be read."""
@@ -307,6 +325,113 @@ class DummyStream(Stream):
 
     def __init__(self) -> None:
         super().__init__(Counter())
+
+
+class Compression(enum.Enum):
+    """The form of compressed bytes."""
+
+    EDeflateStream = 0
+    EGZipStream = 1
+
+
+WINDOW = {Compression.EDeflateStream: zlib.MAX_WBITS, Compression.EGZipStream: zlib.MAX_WBITS | 16}
+"""The number that tells zlib the form."""
+
+
+class Decompressor(io.RawIOBase):
+    """A file that decompresses what it reads from a stream."""
+
+    def __init__(self, stream: Stream, window: int) -> None:
+        self._stream, self._zlib, self._plain = stream, zlib.decompressobj(window), b""
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        while not self._plain and (packed := self._stream.read(io.DEFAULT_BUFFER_SIZE)):
+            try:
+                self._plain = self._zlib.decompress(packed)
+            except zlib.error as error:
+                raise FileError(f"ZStream: the bytes can't be decompressed: {error}") from None
+        count = min(len(buffer), len(self._plain))
+        buffer[:count], self._plain = self._plain[:count], self._plain[count:]
+        return count
+
+
+class Compressor(io.RawIOBase):
+    """A file that compresses what it writes to a stream."""
+
+    def __init__(self, stream: Stream, window: int, level: int) -> None:
+        self._stream, self._zlib, self._written = stream, zlib.compressobj(level, zlib.DEFLATED, window), False
+
+    def writable(self) -> bool:
+        return True
+
+    def write(self, data: Any) -> int:
+        self._written = True
+        self._stream.write(self._zlib.compress(data))
+        return len(data)
+
+    def hand_on(self, how: int) -> None:
+        """Write what zlib holds back."""
+        if self._written and self._stream.can_write():
+            self._stream.write(self._zlib.flush(how))
+
+    def close(self) -> None:
+        if not self.closed:
+            self.hand_on(zlib.Z_FINISH)
+        super().close()
+
+
+class ZStream(Stream):
+    """Compressed writing to, and reading from, another stream, which stays open; it has no positions.
+
+    Args:
+        child_stream: the stream of compressed bytes, which are complete after `close` or when the `ZStream` goes.
+        stream_type: `EDeflateStream` (default) or `EGZipStream`.
+        level: from 0 (not at all) to 9 (as small as possible); -1 chooses.
+
+    Raises:
+        FileError: from methods that read: the bytes aren't compressed in this form; from those that need a position.
+    """
+
+    EStreamType = Compression
+    EDeflateStream, EGZipStream = Compression.EDeflateStream, Compression.EGZipStream
+
+    def __init__(
+        self, child_stream: Stream, stream_type: Compression = Compression.EDeflateStream, level: int = -1
+    ) -> None:
+        self._child = child_stream
+        window = WINDOW[Compression(stream_type)]
+        self._compressor = Compressor(child_stream, window, level)
+        super().__init__(cast(IO[bytes], io.BufferedRWPair(Decompressor(child_stream, window), self._compressor)))
+
+    def child_stream(self) -> Stream:
+        """The stream of compressed bytes."""
+        return self._child
+
+    def can_read(self) -> bool:
+        return super().can_read() and self._child.can_read()
+
+    def can_write(self) -> bool:
+        return super().can_write() and self._child.can_write()
+
+    readable, writable = can_read, can_write
+
+    def flush(self) -> None:
+        """Write out what is held back, which compresses a little less."""
+        super().flush()
+        self._compressor.hand_on(zlib.Z_SYNC_FLUSH)
+        self._child.flush()
+
+    def tell(self) -> int:
+        raise FileError(f"{self.title}: compressed bytes have no positions")
+
+    def seek(self, arg: int, whence: int = os.SEEK_SET, /) -> int:
+        return self.tell()
+
+    def _place(self) -> dict[str, Any]:
+        return {"child_stream": repr(self._child).replace("\n", "\n  ")}
 
 
 class MemoryMappedFile(Plugin):

@@ -10,6 +10,7 @@ import pytest
 
 import djpt
 from djpt.core.former_paths import FORMER
+from djpt.mitsuba.names import SUBMODULES
 
 ROOT = Path(djpt.__file__).resolve().parents[1]
 FOLDERS = ("djpt", "integrators", "materials", "scenes", "validation")
@@ -63,6 +64,11 @@ def test_a_string_import_is_found(tmp_path: Path) -> None:
 @pytest.mark.parametrize("former", FORMER)
 def test_former_paths_give_the_same_module(former: str) -> None:
     assert importlib.import_module(former) is importlib.import_module(FORMER[former])
+
+
+@pytest.mark.parametrize("name", SUBMODULES)
+def test_modules_for_scripts_are_imported_by_path(name: str) -> None:
+    assert importlib.import_module(f"djpt.{name}") is getattr(djpt, name)
 
 
 def test_former_paths_in_a_new_process() -> None:

@@ -33,7 +33,7 @@ def test_text(function: str, value: Any, precise: bool) -> None:
 
 @pytest.mark.parametrize(
     ("name", "instead"),
-    [("ArgParser", "argparse"), ("ZStream", "gzip"), ("Spiral", "djpt.render_passes"), ("Loop", "while")],
+    [("ArgParser", "argparse"), ("Spiral", "djpt.render_passes"), ("Loop", "while")],
 )
 def test_names_that_are_left_out_say_what_to_use(name: str, instead: str) -> None:
     with pytest.raises(AttributeError, match=f"is left out: .*`{instead}`"):

@@ -116,6 +116,42 @@ def test_python_takes_streams() -> None:
     assert stream.raw_buffer() == b"[1, 2]"
 
 
+@pytest.mark.parametrize("form", ["EDeflateStream", "EGZipStream"])
+def test_compressed_streams_are_those_of_mitsuba(form: str, tmp_path: Path, mi: Any) -> None:
+    for writer, reader in ((djpt, mi), (mi, djpt), (djpt, djpt)):
+        path = str(tmp_path / "packed")
+        child = writer.FileStream(path, writer.FileStream.ETruncReadWrite)
+        stream = writer.ZStream(child, getattr(writer.ZStream, form))
+        fill(stream)
+        stream.flush()
+        stream.write(b"more")
+        del stream
+        child.close()
+        stream = reader.ZStream(reader.FileStream(path), getattr(reader.ZStream, form))
+        check(stream)
+        assert stream.read(4) == b"more"
+
+
+def test_what_a_compressed_stream_refuses() -> None:
+    child = djpt.MemoryStream()
+    stream = djpt.ZStream(child)
+    assert stream.child_stream() is child and "ZStream[\n  host_byte_order" in repr(stream)
+    with pytest.raises(FileError, match="no positions"):
+        stream.size()
+    child.write(b"plain")
+    child.seek(0)
+    with pytest.raises(FileError, match="can't be decompressed"):
+        djpt.ZStream(child).read(1)
+
+
+@pytest.mark.parametrize("kind", ["DummyStream", "MemoryStream"])
+def test_representations_are_those_of_mitsuba(kind: str, mi: Any) -> None:
+    mine, other = (getattr(m, kind)() for m in (djpt, mi))
+    for stream in (mine, other):
+        stream.write_string("text")
+    assert repr(mine) == repr(other)
+
+
 def test_meshes_write_to_streams(tmp_path: Path) -> None:
     mesh, stream = djpt.Mesh("m", np.eye(3), [[0, 1, 2]]), djpt.MemoryStream()
     mesh.write_ply(stream=stream)
