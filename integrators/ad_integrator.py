@@ -112,7 +112,7 @@ class ADIntegrator(Integrator):
 
         The samples of a pixel follow each other, pixels are in rows.
         """
-        if (scene.moves or sensor.carrier is not None) and not self.follows_motion:
+        if (scene.moves or sensor.moves) and not self.follows_motion:
             raise RenderError(
                 f"'{type(self).__name__}' renders what moves in slices of time, which only whole images have: use "
                 "djpt.render"

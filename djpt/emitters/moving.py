@@ -16,7 +16,7 @@ from djpt.core.lookup import Members
 from djpt.core.records import DirectionSample3f, EmissionSample, Interaction3f, Observer, SurfaceInteraction3f
 from djpt.core.transforms.keyframes import Placement
 from djpt.emitters.base import Emitter
-from djpt.jit.types import Float, Point3f, UInt32, Vector3f
+from djpt.jit.types import Float, UInt32, Vector3f
 
 __all__ = ["Carriers", "carriers_of"]
 
@@ -40,8 +40,7 @@ class Carriers:
 
     def at(self, index: UInt32, time: Float) -> Carried:
         """The spaces of emitters at a time, per lane; of those that stay the world."""
-        x, y, z = (Vector3f(*(float(i == k) for k in range(3))) for i in range(3))
-        result = Placement(x, y, z, Vector3f(1), Point3f(0))
+        result = Placement.identity()
         for motion, far, members in self._motions:
             placement = motion.placement(time)
             result = dr.select(members.contain(index), placement.turned() if far else placement, result)

@@ -141,7 +141,7 @@ def make_job(scene: Scene, settings: RenderSettings) -> Job:
     if integrator.needs_light and not shines:
         raise RenderError("the scene has no emitter: the image would be black")
     integrator.check_scene(scene, sensor)
-    if (scene.moves or sensor.carrier is not None) and not integrator.follows_motion:
+    if (scene.moves or sensor.moves) and not integrator.follows_motion:
         raise RenderError(
             f"'{type(integrator).__name__}' renders what moves in slices of time, which only whole images have: use "
             "djpt.render, or an integrator that starts at the camera, such as 'path'"

@@ -91,7 +91,7 @@ def render(
     )
 
     def image(settings: RenderSettings) -> TensorXf:
-        if (scene.moves or settings.sensor.carrier is not None) and not adaptive:
+        if (scene.moves or settings.sensor.moves) and not adaptive:
             from djpt.rendering.time_slices import needs_slices, sliced_image  # few scenes move
 
             if needs_slices(scene, settings):

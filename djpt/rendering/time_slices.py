@@ -38,14 +38,15 @@ MOST_DERIVATIVES = 16
 
 def needs_slices(scene: Scene, settings: RenderSettings) -> bool:
     """Whether an image has to be made of still ones: because something moves, and paths or derivatives can't follow."""
-    moves = scene.moves or settings.sensor.carrier is not None
+    moves = scene.moves or settings.sensor.moves
     return moves and not (settings.integrator.follows_motion and not every_parameter(scene, settings))
 
 
 def animations(scene: Scene, settings: RenderSettings) -> list[AnimatedTransform4f]:
     """The animated transforms of a scene and of the sensor, each once."""
-    movers = [*scene.shapes(), *scene.emitters(), settings.sensor]
-    return list({id(m.motion): m.motion for m in movers if m.motion is not None}.values())
+    motions = [mover.motion for mover in (*scene.shapes(), *scene.emitters())]
+    motions += [sensor.carrier for sensor in settings.sensor.members()]
+    return list({id(motion): motion for motion in motions if motion is not None}.values())
 
 
 def every_parameter(scene: Scene, settings: RenderSettings) -> list[Parameter]:

@@ -164,8 +164,10 @@ class Scene(MitsubaScene):
         infinite = sum(emitter.is_environment() for emitter in self._emitters)
         if infinite > 1:
             raise SceneError(f"{props.node}: only one environment emitter is possible, found {infinite}")
-        self.moves = any(part.carrier is not None for part in (*self._emitters, *self._sensors)) or any(
-            shape.moves for shape in self._shapes
+        self.moves = (
+            any(emitter.carrier is not None for emitter in self._emitters)
+            or any(sensor.moves for sensor in self._sensors)
+            or any(shape.moves for shape in self._shapes)
         )
         """Whether something moves: a shape, a light or a sensor."""
         self.in_time = self.moves or any(emitter.in_time for emitter in self._emitters)

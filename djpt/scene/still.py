@@ -43,6 +43,9 @@ class StillScene:
         view.in_time = any(emitter.in_time for emitter in view._emitters)
         with may_wait():
             view._compile()
+            for sensor in view._sensors:
+                # What is averaged over the cross-section of the scene is so at all moments over the same one.
+                sensor.set_bounds(*scene.bounding_sphere())
         self.scene = view
 
     def copy_of(self, plugin: Any) -> Any:
@@ -106,6 +109,7 @@ class StillScene:
 
     def _sensor(self, sensor: Any) -> None:
         motion, sensor.motion = sensor.motion, None
+        sensor.hold_copies(self.copy_of)
         if motion is None:
             return
         sensor.to_world = sensor.check_parameter("to_world", self._transform(motion))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
@@ -14,6 +14,7 @@ from djpt.core.bounding_box import ScalarBoundingBox3f
 from djpt.core.numeric import AttachedNumber, as_number
 from djpt.core.records import DirectionSample3f, Ray3f
 from djpt.core.transforms import ScalarTransform4f, as_transform
+from djpt.core.transforms.keyframes import Placement
 from djpt.description.plugin import Endpoint, NotMovable, ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import lookup, registered
@@ -57,7 +58,7 @@ class Sensor(SampledRays, Endpoint):
     motions: ClassVar[tuple[str, ...]] = ()
     """The attributes that place its rays and may have gradients; `attached_matrix` is that of `to_world`."""
     can_move: ClassVar[bool] = True
-    """Whether its `to_world` may be animated: its rays start in its own space, not somewhere about the scene."""
+    """Whether its `to_world` may be animated."""
     canvas: Film | None = None
     """The film that it shares with others, as a part of a batch."""
     column = 0
@@ -277,6 +278,11 @@ class Sensor(SampledRays, Endpoint):
         """The point (3,) near which all rays start; None if they start in many places."""
         return self.to_world.translation()
 
+    @property
+    def moves(self) -> bool:
+        """Whether its rays depend on their time."""
+        return self.carrier is not None
+
     def starts(self) -> Sequence[NDArray[np.float64]]:
         """The points (3,) near which rays start, as far as they are known."""
         p = self.viewpoint()
@@ -289,6 +295,9 @@ class Sensor(SampledRays, Endpoint):
         """The distance from sensor to rays' origins, in units of their `maxt`; 0 unless there is a near plane."""
         return 0.0
 
+    def hold_copies(self, copy_of: Callable[[Any], Any]) -> None:
+        """Hold copies of nested sensors and shapes, as a copy in a scene at one moment; None stands for itself."""
+
     def set_bounds(self, center: NDArray[np.float64], radius: float) -> None:
         """Take the scene's bounding sphere, once and whenever it changes: some sensors stand outside of it."""
 
@@ -297,14 +306,20 @@ class Sensor(SampledRays, Endpoint):
 
     # ---- in kernels --------------------------------------------------------------------
 
-    def carried(self, ray: Ray3f) -> Ray3f:
-        """A ray of the sensor's own space in the world at its time; itself if the sensor doesn't move."""
-        if self.carrier is None:
+    def ray_at(
+        self, time: Float, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True
+    ) -> Ray3f:
+        """Sample a ray in the world at a time; `ray_through` gives those of a sensor that moves in its own space."""
+        ray: Ray3f = self.ray_through(film_position, aperture_sample, active).replaced(time=time)
+        if not self.moves:
             return ray
-        placement = self.carrier.placement(ray.time)
+        return self.placed(ray, Placement.identity() if self.carrier is None else self.carrier.placement(time))
+
+    def placed(self, ray: Ray3f, placement: Placement) -> Ray3f:
+        """A ray of the sensor's own space in the world, where the sensor is at the ray's time."""
         d = placement.vector(ray.d)
-        size = dr.abs(placement.scale.x)  # of parallel rays, whose distances grow with it
-        return ray.replaced(o=placement.point(ray.o), d=d / size, maxt=ray.maxt * size)
+        # Of sensors that have a size only the places and directions of rays change, not how far they look.
+        return ray.replaced(o=placement.point(ray.o), d=d / dr.abs(placement.scale.x))
 
     def ray_through(self, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True) -> Ray3f:
         """Sample the ray through a position in [0, 1]^2 of the film's crop window, y downwards.
@@ -315,8 +330,11 @@ class Sensor(SampledRays, Endpoint):
         """
         raise NotImplementedError
 
-    def ray_of_pixel(self, pixel: UInt32, offset: Point2f, aperture_sample: Point2f) -> Ray3f:
-        """Sample the ray through a place in [0, 1)^2 on a pixel, which are counted row by row: for `by_pixel` only."""
+    def ray_of_pixel(self, pixel: UInt32, offset: Point2f, aperture_sample: Point2f, time: Float) -> Ray3f:
+        """Sample the ray through a place in [0, 1)^2 on a pixel at a time: for `by_pixel` only.
+
+        Pixels are counted row by row.
+        """
         raise NotImplementedError
 
     def sample_wi(

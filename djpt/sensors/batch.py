@@ -15,7 +15,7 @@ from djpt.description.properties import Properties
 from djpt.description.registry import register_sensor
 from djpt.errors import ParameterError, RenderError, SceneError
 from djpt.jit.kernels import maximum, minimum
-from djpt.jit.types import Bool, Point2f, UInt32
+from djpt.jit.types import Bool, Float, Point2f, UInt32
 from djpt.sensors.base import Sensor
 from djpt.sensors.group import SensorGroup
 from djpt.sensors.placement import require_area
@@ -29,9 +29,9 @@ class Batch(SensorGroup):
     All are traced by one kernel, however many there are of one kind.
 
     Parameters: those of all sensors but `to_world`, and any number of nested sensors, or shapes that carry one, in
-    order. The film's width must be a multiple of their number. The film, the sampler and the shutter of the batch
-    count; the films of nested sensors get the size of their parts (a field of view along x keeps its meaning).
-    Filters wider than a pixel mix neighbouring views along the seams.
+    order, all of which may move. The film's width must be a multiple of their number. The film, the sampler and the
+    shutter of the batch count; the films of nested sensors get the size of their parts (a field of view along x keeps
+    its meaning). Filters wider than a pixel mix neighbouring views along the seams.
 
     All sensors must have the same unit: cameras and radiance meters can stand beside each other, irradiance meters
     only beside their like. A batch whose cameras stand apart is taken to stand outside of all bodies that absorb.
@@ -92,11 +92,16 @@ class Batch(SensorGroup):
     # ---- in kernels --------------------------------------------------------------------
 
     def ray_through(self, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True) -> Ray3f:
+        return self.ray_at(Float(self.shutter_open() if self.moves else 0), film_position, aperture_sample, active)
+
+    def ray_at(
+        self, time: Float, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True
+    ) -> Ray3f:
         last = len(self.sensors) - 1
         x = film_position.x * len(self.sensors)
         # Samples beside the film, of its border, belong to the outermost parts.
         part = minimum(maximum(dr.floor(x), 0), last)
-        return self.ray_of(UInt32(part), Point2f(x - part, film_position.y), aperture_sample, active)
+        return self.ray_of(UInt32(part), Point2f(x - part, film_position.y), aperture_sample, time, active)
 
 
 @dataclass

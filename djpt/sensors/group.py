@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import drjit as dr
@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from djpt.core.bounding_box import ScalarBoundingBox3f
 from djpt.core.records import Ray3f
+from djpt.core.transforms.keyframes import Keyframes, MotionTable
 from djpt.dispatch.ensemble import Attached, Detached, Ensemble
 from djpt.errors import RenderError, SceneError
-from djpt.jit.types import Bool, Point2f, UInt32
+from djpt.jit.types import Bool, Float, Point2f, UInt32
 from djpt.sensors.base import Sensor
 from djpt.sensors.placement import placed_apart
 
@@ -26,8 +27,6 @@ __all__ = ["SensorGroup"]
 
 class SensorGroup(Sensor):
     """A sensor whose rays are those of other sensors, one of them per lane. A subclass calls `hold` when it is made."""
-
-    can_move = False
 
     def hold(self, sensors: Sequence[Sensor], names: Sequence[str], carriers: Sequence[Any]) -> None:
         """Take the sensors: at least one, with their names, and the shapes that carry them, or None.
@@ -43,9 +42,23 @@ class SensorGroup(Sensor):
                     f"{self.id()}: '{self.names[0]}' and '{name}' measure in different units "
                     f"({unit(self.sensors[0])} and {unit(sensor)}); put them in separate groups"
                 )
-            if sensor.carrier is not None or (carriers[self.names.index(name)] or sensor).motion is not None:
-                raise SceneError(f"{self.id()}: '{name}' is animated; sensors that move can't share a film")
+            if sensor.moves and isinstance(sensor, SensorGroup):
+                raise SceneError(f"{self.id()}: '{name}' moves and is a group itself; nest its sensors in this one")
         self.uses_aperture = any(sensor.uses_aperture for sensor in self.sensors)
+        self.forget()
+
+    @property
+    def moves(self) -> bool:
+        carried = (carrier for carrier in self._carriers if carrier is not None)
+        return any(sensor.moves for sensor in self.sensors) or any(shape.motion is not None for shape in carried)
+
+    def hold_copies(self, copy_of: Callable[[Any], Any]) -> None:
+        stand_alone = [s.shape is not carrier for s, carrier in zip(self.sensors, self._carriers, strict=True)]
+        self._carriers = [copy_of(carrier) for carrier in self._carriers]
+        self.sensors = [copy_of(sensor) for sensor in self.sensors]
+        for sensor, alone in zip(self.sensors, stand_alone, strict=True):
+            if alone:
+                sensor.shape = None  # until its shape, which is nobody's, is placed again
         self.forget()
 
     def members(self) -> Sequence[Any]:
@@ -69,6 +82,7 @@ class SensorGroup(Sensor):
     def forget(self) -> None:
         """Look at the sensors again before the next ray: one of them has changed."""
         self._cameras: Ensemble[Sensor] | None = None
+        self._motions: MotionTable | None = None
         self._lookup: Attached | Detached = Detached()
 
     def move_into(self, frame: Frame) -> None:
@@ -80,6 +94,8 @@ class SensorGroup(Sensor):
     # ---- on the host -------------------------------------------------------------------
 
     def viewpoint(self) -> NDArray[np.float64] | None:
+        if self.moves:
+            return None
         points = [sensor.viewpoint() for sensor in self.sensors]
         first = points[0]
         if first is None or any(p is None or not np.array_equal(p, first) for p in points):
@@ -113,6 +129,7 @@ class SensorGroup(Sensor):
                 sensor.shape = placed_apart(carrier)
             sensor.prepare()
         self._cameras, self._lookup = Ensemble(self.sensors), Detached()
+        self._motions = MotionTable(*(keyframes_of(sensor) for sensor in self.sensors)) if self.moves else None
         with dr.resume_grad(when=self.is_attached):
             if self.is_attached:
                 values = {(id(s), name): getattr(s, name) for s in self.sensors for name in s.values}
@@ -121,14 +138,32 @@ class SensorGroup(Sensor):
 
     # ---- in kernels --------------------------------------------------------------------
 
-    def ray_of(self, number: UInt32, position: Point2f, aperture_sample: Point2f, active: Bool | bool) -> Ray3f:
-        """The ray of one of the sensors, by its number, through a position of its own film."""
+    def ray_of(
+        self, number: UInt32, position: Point2f, aperture_sample: Point2f, time: Float, active: Bool | bool
+    ) -> Ray3f:
+        """The ray in the world of one of the sensors, by its number, through a position of its own film."""
         if self._cameras is None:
             self.prepare()
         assert self._cameras is not None
-        return self._cameras.call(
-            number, self._lookup, lambda sensor: sensor.ray_through(position, aperture_sample, active), None
-        )
+        # All sensors of one structure share their code, whatever moves them: so the number finds the motion.
+        placement = None if self._motions is None else self._motions.at(time, number)
+
+        def ray_of_sensor(sensor: Sensor) -> Ray3f:
+            ray: Ray3f = sensor.ray_through(position, aperture_sample, active).replaced(time=time)
+            return ray if placement is None else sensor.placed(ray, placement)
+
+        result: Ray3f = self._cameras.call(number, self._lookup, ray_of_sensor, None)
+        return result
+
+
+STILL = Keyframes(np.arange(2.0), np.ones((2, 3)), np.array([[0, 0, 0, 1.0]] * 2), np.zeros((2, 3)))
+"""The keyframes of what stays."""
+
+
+def keyframes_of(sensor: Sensor) -> Keyframes:
+    """The keyframes that move a sensor."""
+    keyframes: Keyframes = STILL if sensor.carrier is None else sensor.carrier.keyframes
+    return keyframes
 
 
 def unit(sensor: Sensor) -> str:

@@ -41,12 +41,17 @@ class SampledRays:
         uses_aperture: bool
         has_image_circle: bool
         has_neighbours: ClassVar[bool]
-        carrier: Any
 
         def film(self) -> Film:
             """See `Sensor`."""
 
-        def carried(self, ray: Ray3f) -> Ray3f:
+        @property
+        def moves(self) -> bool:
+            """See `Sensor`."""
+
+        def ray_at(
+            self, time: Float, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True
+        ) -> Ray3f:
             """See `Sensor`."""
 
         def unanswered(self, what: str) -> RenderError:
@@ -73,11 +78,9 @@ class SampledRays:
             sample3: the sample for the aperture, in [0, 1)^2.
             active: lanes that are needed; on others the results mean nothing.
         """
-        ray = self.ray_through(Point2f(sample2), Point2f(sample3), active)
-        timed: Any = ray
-        timed.time = Float(time)
+        ray = self.ray_at(Float(time), Point2f(sample2), Point2f(sample3), active)
         weight = Color3f(self.weight)
-        return self.carried(timed), dr.select(ray.maxt > 0, weight, 0) if self.has_image_circle else weight
+        return ray, dr.select(ray.maxt > 0, weight, 0) if self.has_image_circle else weight
 
     def sample_ray_differential(
         self,
@@ -112,7 +115,7 @@ class SampledRays:
         As `sample_wi`, but `ds.uv` is the position on the crop window in pixels. The importance is 0 on lanes that
         aren't active.
         """
-        if self.carrier is not None:
+        if self.moves:
             raise self.unanswered("no directions while it moves: ask the sensors of scene.at_time(t)")
         ds, importance = self.sample_wi(Point3f(getattr(it, "p", it)), Point2f(sample), active)
         ds.uv = ds.uv * Point2f(self.film().crop_size())

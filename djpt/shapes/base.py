@@ -158,6 +158,8 @@ class Shape(ShapeQuestions):
         self.motion.demand("unmirrored", "must not mirror a shape: mirror what moves")
         if self._emitter is not None:
             self.motion.demand("similar", "must scale uniformly: the shape emits light")
+        if self._sensor is not None:
+            self.motion.demand("similar", "must scale uniformly: the shape carries a sensor")
         if self.misfit(np.diag([1.0, 2.0, 3.0, 1.0])):
             self.motion.demand("similar", f"must scale uniformly: the shape is a '{self.class_name().lower()}'")
 

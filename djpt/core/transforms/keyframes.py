@@ -73,6 +73,12 @@ class Placement:
         turned = Vector3f(dr.dot(self.x, n), dr.dot(self.y, n), dr.dot(self.z, n)) * self.scale
         return turned * dr.rsqrt(dr.squared_norm(turned))
 
+    @classmethod
+    def identity(cls) -> Placement:
+        """The placement of what stays."""
+        x, y, z = (Vector3f(*(float(i == k) for k in range(3))) for i in range(3))
+        return cls(x, y, z, Vector3f(1), Point3f(0))
+
     def turned(self) -> Placement:
         """The placement about the origin: of what is infinitely far away."""
         return Placement(self.x, self.y, self.z, self.scale, Point3f(0))
@@ -243,21 +249,25 @@ class Keyframes:
 class MotionTable:
     """Keyframes as kernels read them: inputs of width 1 of one segment, a table of several."""
 
-    def __init__(self, keyframes: Keyframes) -> None:
-        rows = keyframes.rows()
-        self._count = len(rows)
-        if self._count == 1:
+    def __init__(self, *motions: Keyframes) -> None:
+        """The table of one motion, or of several, which are asked for by number."""
+        parts = [keyframes.rows() for keyframes in motions]
+        rows, counts = np.concatenate(parts), [len(part) for part in parts]
+        self._count, self._is_one = max(counts), len(rows) == 1
+        if self._is_one:
             self._row = [as_float(number) for number in rows[0]]
-        else:
-            padded = np.zeros((self._count, WORDS), np.float32)
-            padded[:, : rows.shape[1]] = rows
-            self._table, self._last = own_copy(padded), dr.opaque(UInt32, self._count - 1)
-            self._starts = Float(rows[:, 0].astype(np.float32))
-            dr.make_opaque(self._starts)
+            return
+        padded = np.zeros((len(rows), WORDS), np.float32)
+        padded[:, : rows.shape[1]] = rows
+        ends = np.cumsum(counts).astype(np.uint32)
+        self._table, self._last = own_copy(padded), own_copy(ends - 1)
+        self._first = None if len(motions) == 1 else own_copy(ends - np.array(counts, np.uint32))
+        self._starts = Float(rows[:, 0].astype(np.float32))
+        dr.make_opaque(self._starts)
 
-    def at(self, time: Float) -> Placement:
-        """The placement at a time, per lane."""
-        row = self._row if self._count == 1 else self._found(time)
+    def at(self, time: Float, number: UInt32 | None = None) -> Placement:
+        """The placement at a time, per lane, by the motion of a number if there are several."""
+        row = self._row if self._is_one else self._found(time, number)
         start, inverse, angle = row[0], row[1], row[10]
         u = dr.clip((time - start) * inverse, 0, 1)
         sine, cosine = dr.sincos(u * angle)
@@ -267,14 +277,16 @@ class MotionTable:
         origin = Point3f(*(dr.fma(b, u, a) for a, b in zip(t, dt, strict=True)))
         return placement_of(quaternion, scale, origin)
 
-    def _found(self, time: Float) -> list[Float]:
+    def _found(self, time: Float, number: UInt32 | None) -> list[Float]:
         """The row of the segment that a time lies in."""
         # The first segment counts also before it begins.
         steps = (self._count - 1).bit_length()
-        below = UInt32(0)
+        below, last = UInt32(0), self._last
+        if self._first is not None and number is not None:
+            below, last = (dr.gather(UInt32, numbers, number) for numbers in (self._first, self._last))
         for k in reversed(range(steps)):
             probe = below + (1 << k)
-            inside = probe <= self._last
+            inside = probe <= last
             start = dr.gather(Float, self._starts, probe, inside)
             below = dr.select(inside & (start <= time), probe, below)
         half = WORDS // 2

@@ -158,18 +158,21 @@ class Job:
 
         `moment` says when, in shares of the time for which the shutter is open.
         """
+        time = self._time(position, moment) if self.scene.in_time or self.sensor.moves else Float(0)
         if self.sensor.by_pixel:
-            ray = self.camera.ray_of_pixel(pixel, offset, aperture)
+            ray = self.camera.ray_of_pixel(pixel, offset, aperture, time)
         else:
-            ray = self.camera.ray_through(position * self._inverse_crop, aperture)
+            ray = self.camera.ray_at(time, position * self._inverse_crop, aperture)
         ray.medium = self.scene.camera_medium
-        if self.scene.in_time or self.sensor.carrier is not None:
-            opens = self._shutter_open
-            if self._rolling_shutter is not None:
-                row = dr.clip((position.y + self._origin.y + self._border) * self._inverse_height, 0, 1)
-                opens = dr.fma(row, self._rolling_shutter, opens)
-            ray.time = dr.fma(moment, self._shutter_open_time, opens)
-        return self.sensor.carried(ray)
+        return ray
+
+    def _time(self, position: Point2f, moment: Float) -> Float:
+        """The time of a ray: see `_camera_ray`."""
+        opens = self._shutter_open
+        if self._rolling_shutter is not None:
+            row = dr.clip((position.y + self._origin.y + self._border) * self._inverse_height, 0, 1)
+            opens = dr.fma(row, self._rolling_shutter, opens)
+        return dr.fma(moment, self._shutter_open_time, opens)
 
     def in_crop(self, x: Float, y: Float, offset: Point2f) -> Point2f:
         """The position on the crop window, [0, 1)^2, of a place on the pixel of the grid in column `x` and row `y`."""

@@ -126,7 +126,7 @@ COPIED = ("shape", "emitter")
 
 def normalized(scene: Scene, sensor: Sensor) -> tuple[Scene, Sensor]:
     """The scene and a sensor as they are rendered: in the working frame if there is one, else themselves."""
-    found = normalized_scene(scene) if sensor.carrier is None else None
+    found = None if sensor.moves else normalized_scene(scene)
     if found is None:
         return scene, sensor
     copies, of_scene = found

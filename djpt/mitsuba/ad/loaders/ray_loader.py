@@ -64,17 +64,19 @@ class FlatSensor(SensorGroup):
 
     # ---- in kernels --------------------------------------------------------------------
 
-    def ray_of_pixel(self, pixel: UInt32, offset: Point2f, aperture_sample: Point2f) -> Ray3f:
-        return self._ray(dr.gather(UInt32, self.pixel_idx, pixel), offset, aperture_sample, True)
+    def ray_of_pixel(self, pixel: UInt32, offset: Point2f, aperture_sample: Point2f, time: Float) -> Ray3f:
+        return self._ray(dr.gather(UInt32, self.pixel_idx, pixel), offset, aperture_sample, time, True)
 
-    def _ray(self, source: UInt32, offset: Point2f, aperture_sample: Point2f, active: Bool | bool) -> Ray3f:
+    def _ray(
+        self, source: UInt32, offset: Point2f, aperture_sample: Point2f, time: Float, active: Bool | bool
+    ) -> Ray3f:
         """The ray through a place on a pixel of one of the sensors."""
         width, height = (dr.opaque(UInt32, n) for n in (self.source_film_width, self.source_film_height))
         row = source // width
         number = row // height
         corner = Point2f(Float(source - row * width), Float(row - number * height))
         position = (corner + offset) * dr.rcp(Point2f(Float(width), Float(height)))
-        return self.ray_of(number, position, aperture_sample, active)
+        return self.ray_of(number, position, aperture_sample, time, active)
 
     def sample_ray(
         self,
@@ -96,9 +98,8 @@ class FlatSensor(SensorGroup):
             raise ArgumentError(f"{self.id()}: {lanes} lanes aren't a multiple of the {pixels} pixels")
         column = Point2f(sample2) * Point2f(self.film().crop_size())
         source = dr.repeat(self.pixel_idx, lanes // pixels)
-        timed: Any = self._ray(source, column - dr.floor(column), Point2f(sample3), active)
-        timed.time = Float(time)
-        return timed, dr.full(Color3f, self.weight, lanes)
+        ray = self._ray(source, column - dr.floor(column), Point2f(sample3), Float(time), active)
+        return ray, dr.full(Color3f, self.weight, lanes)
 
 
 class RayDataLoader:
