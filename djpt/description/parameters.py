@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+import weakref
+from collections.abc import Iterable, Iterator, Mapping, Set
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,7 +18,7 @@ from djpt.errors import DjptError, ParameterError, SceneError, near_miss
 from djpt.jit.frozen import Held, Structure, hold_garbage, recording
 from djpt.jit.kernels import may_wait
 
-__all__ = ["NEWER_NAMES", "SceneParameters", "traverse"]
+__all__ = ["NEWER_NAMES", "SCENES", "SceneParameters", "traverse"]
 
 
 def traverse(node: Plugin) -> SceneParameters:
@@ -59,6 +60,9 @@ class Entry:
         """True if the value is computed anew at each read."""
         return isinstance(getattr(type(self.owner), self.attribute, None), property)
 
+
+SCENES: weakref.WeakSet[Any] = weakref.WeakSet()
+"""The scenes that descriptions were made of: each enters itself, to follow edits of its parts."""
 
 NEWER_NAMES = {
     "positions": ("vertex_positions", 3),
@@ -163,7 +167,7 @@ class SceneParameters(Mapping[str, Any]):
     changed values. In-place edits (``params[key] *= 2``, `dr.enable_grad`) are noticed as well, except
     writes through `dr.scatter`: call `set_dirty` after those.
 
-    A scene is brought up to date by the parameters of the scene, not by those of a part of it.
+    Scenes follow edits of their parts, too, which takes a walk through each scene there is.
     Iterating yields the keys, as any mapping does (Mitsuba yields pairs: use `items`).
 
     Of meshes, the names of Mitsuba 3.10 are understood, too: `positions`, `normals` and `texcoords` are tensors with a
@@ -344,7 +348,18 @@ class SceneParameters(Mapping[str, Any]):
             edited = {id(entry.owner) for entry, _ in changes}
             with may_wait():
                 refresh([node for node, _ in told if id(node) in edited])
+        if self._root not in SCENES:
+            places = {(id(entry.owner), entry.attribute) for entry, _ in changes}
+            for scene in list(SCENES) if changes else ():
+                traverse(scene)._follow(places)
         return told
+
+    def _follow(self, places: Set[tuple[int, str]]) -> None:
+        """Bring the root up to date after edits of owners' attributes by the parameters of a part of it."""
+        for key, entry in self._entries.items():
+            if (id(entry.owner), entry.attribute) in places:
+                self.set_dirty(key)
+        self.update()
 
     def _who_must_know(self, changed: Iterable[Entry]) -> list[tuple[Plugin, set[str]]]:
         """The owners of changed parameters and all plugins around them, innermost first, with the changed names."""

@@ -12,6 +12,7 @@ import numpy as np
 from djpt.core.numeric import whole
 from djpt.core.records import EmitterFlags, has_flag
 from djpt.core.records.record import note_latest
+from djpt.description.parameters import SCENES
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Merging, Properties
 from djpt.description.registry import registered
@@ -174,6 +175,7 @@ class Scene(MitsubaScene):
         """Whether rays need a time, because what they meet depends on it."""
         with may_wait():
             self._compile()
+        SCENES.add(self)
 
     def _numbered(self, merging: Merging | None) -> list[Plugin]:
         """The plugins in the order in which Mitsuba numbers them: those that its loader merges with others are last."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
 from typing import Any
 
 import drjit as dr
@@ -375,3 +376,49 @@ def test_wrong_arguments(params: SceneParameters) -> None:
         params["red"]
     with pytest.raises(ParameterError, match=r"^update: expected a mapping"):
         params.update([1])  # type: ignore[arg-type]
+
+
+PARTS: dict[str, tuple[Callable[[djpt.Scene], Any], str, str, Any]] = {
+    "emitter": (
+        lambda scene: scene.emitters()[0],
+        "radiance.value",
+        "light.emitter.radiance.value",
+        [50.0, 40.0, 30.0],
+    ),
+    "texture": (
+        lambda scene: scene.emitters()[0].radiance,
+        "value",
+        "light.emitter.radiance.value",
+        [50.0, 40.0, 30.0],
+    ),
+    "bsdf": (lambda scene: scene.shapes()[1].bsdf(), "reflectance.value", "white.reflectance.value", [0.1, 0.2, 0.3]),
+    "shape": (lambda scene: scene.shapes()[1], "to_world", "floor.to_world", T().translate([0, -0.8, 0]).scale(0.2)),
+}
+
+
+@pytest.mark.parametrize("name", PARTS)
+def test_scenes_follow_edits_of_their_parts(name: str) -> None:
+    part, short, long, value = PARTS[name]
+    box = djpt.cornell_box()
+    box["sensor"]["film"].update(width=8, height=8)
+    edited, expected = djpt.load_dict(box), djpt.load_dict(box)
+    before = np.array(djpt.render(edited, spp=2))
+    for root, key in ((part(edited), short), (expected, long)):
+        params = djpt.traverse(root)
+        params[key] = value
+        params.update()
+    image = np.array(djpt.render(edited, spp=2))
+    assert not np.array_equal(image, before)
+    assert np.array_equal(image, np.array(djpt.render(expected, spp=2)))
+
+
+def test_derivatives_by_a_part_of_a_scene() -> None:
+    scene = djpt.load_dict({"type": "scene", "shape": {"type": "rectangle"}})
+    params = djpt.traverse(scene.shapes()[0])
+    stretch = djpt.Float(0)
+    dr.enable_grad(stretch)
+    params["to_world"] = djpt.Transform4f().scale([1 + stretch, 1 + 2 * stretch, 1])
+    params.update()
+    uv = scene.ray_intersect(djpt.Ray3f([0.1, 0.2, -2], [0, 0, 1])).uv
+    dr.forward(stretch)
+    assert np.allclose(np.array(dr.grad(uv)).ravel(), [-0.05, -0.2])
