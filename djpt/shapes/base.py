@@ -293,12 +293,15 @@ class Shape(ShapeQuestions):
         return n, Frame3f(s, dr.cross(n, s), n)
 
     def surface_area(self) -> Float:
-        """The total area in world space; by default the value `area`."""
-        return self.area
+        """The total area in world space; by default the value `area`. Raises `SceneError` if it isn't known."""
+        area: Float | None = getattr(self, "area", None)
+        if area is None:
+            raise SceneError(f"{self.id()}: the area of this shape isn't known")
+        return area
 
     def draw_point(self, sample: Point2f) -> PositionSample3f:
-        """Sample a point uniformly by area: pdf = 1 / area."""
-        raise NotImplementedError
+        """Sample a point uniformly by area: pdf = 1 / area. Raises `SceneError` if the shape has no way to."""
+        raise SceneError(f"{self.id()}: points of this shape aren't sampled")
 
     def at_uv(self, uv: Point2f) -> PositionSample3f:
         """The point with the texture coordinates (u, v) in the unit square, if the shape `has_parameterization`.

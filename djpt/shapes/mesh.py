@@ -227,6 +227,11 @@ class Mesh(MeshQueries, Shape):
         for name in (*PARAMETERS, *self.attributes):
             getattr(self, name)
 
+    def prepare_to_record(self) -> None:
+        super().prepare_to_record()
+        if self.original is None and (alone := self.alone().shapes()[0].set) is not None:
+            _ = alone.areas  # frozen functions can't make the table that points are sampled by
+
     def _forget(self) -> None:
         """Let the parameters be made from the host's arrays again, and what follows from the faces."""
         self.build_directed_edges()

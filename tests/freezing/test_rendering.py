@@ -361,3 +361,11 @@ def test_functions_are_compiled_while_dr_jit_records() -> None:
     """The first use of a mesh in a process compiles functions in threads, which Dr.Jit doesn't answer then."""
     done = subprocess.run([sys.executable, "-c", FIRST_USE], capture_output=True, text=True, timeout=120)
     assert done.stdout.splitlines()[-1] == "ended"
+
+
+def test_points_of_a_mesh_that_belongs_to_no_scene() -> None:
+    mesh = djpt.Mesh("m", np.eye(3), [[0, 1, 2]])
+    frozen = dr.freeze(lambda mesh, sample: mesh.sample_position(0, sample).p)
+    sample = djpt.Point2f([0.1, 0.7], [0.2, 0.5])
+    dr.make_opaque(sample)
+    assert np.allclose(np.array(frozen(mesh, sample)), np.array(mesh.sample_position(0, sample).p))

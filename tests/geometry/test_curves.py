@@ -358,3 +358,14 @@ def test_errors(text: str, keys: dict[str, Any], message: str, tmp_path: Path) -
     path.write_text(text)
     with pytest.raises(djpt.SceneError, match=message):
         djpt.load_dict({"type": "linearcurve", "filename": str(path), **keys})
+
+
+def test_points_and_areas_that_are_not_known_are_refused(tmp_path: Path) -> None:
+    grid = djpt.TensorXf([-1.0, 1.0] * 4, (2, 2, 2, 1))
+    curves = [{"type": kind, "filename": file_of(strands(2), tmp_path)} for kind in KINDS]
+    for description in ({"type": "sdfgrid", "grid": grid}, *curves):
+        shape = djpt.load_dict(description)
+        with pytest.raises(djpt.SceneError, match="points of this shape aren't sampled"):
+            shape.sample_position(0, [0.1, 0.2])
+        with pytest.raises(djpt.SceneError, match="the area of this shape isn't known"):
+            shape.surface_area()
