@@ -61,8 +61,11 @@ class Entry:
         return isinstance(getattr(type(self.owner), self.attribute, None), property)
 
 
-SCENES: weakref.WeakSet[Any] = weakref.WeakSet()
-"""The scenes that descriptions were made of: each enters itself, to follow edits of its parts."""
+SCENES: weakref.WeakKeyDictionary[Any, frozenset[int]] = weakref.WeakKeyDictionary()
+"""The scenes that there are, each entered by itself, with the identities of what has parameters in them.
+
+These are found when a part of some scene is first edited by itself: plugins don't know the scenes that they are in.
+"""
 
 NEWER_NAMES = {
     "positions": ("vertex_positions", 3),
@@ -158,6 +161,20 @@ class Visit(TraversalCallback):
         self.walk.entries[key] = Entry(self.node, name, attribute or name, flags, self.path)
 
 
+def follow(places: Set[tuple[int, str]]) -> None:
+    """Bring the scenes up to date that hold what was edited by itself: attributes of owners, by their identities."""
+    owners = {owner for owner, _ in places}
+    for scene, parts in list(SCENES.items()):
+        if parts and owners.isdisjoint(parts):
+            continue
+        params = traverse(scene)
+        SCENES[scene] = frozenset(id(entry.owner) for entry in params._entries.values())
+        for key, entry in params._entries.items():
+            if (id(entry.owner), entry.attribute) in places:
+                params.set_dirty(key)
+        params.update()
+
+
 class SceneParameters(Mapping[str, Any]):
     """A dict-like view of parameters; made by `traverse`. ``SceneParameters()`` has none.
 
@@ -167,7 +184,7 @@ class SceneParameters(Mapping[str, Any]):
     changed values. In-place edits (``params[key] *= 2``, `dr.enable_grad`) are noticed as well, except
     writes through `dr.scatter`: call `set_dirty` after those.
 
-    Scenes follow edits of their parts, too, which takes a walk through each scene there is.
+    Scenes follow edits of their parts, too, which takes a walk through each scene that holds them.
     Iterating yields the keys, as any mapping does (Mitsuba yields pairs: use `items`).
 
     Of meshes, the names of Mitsuba 3.10 are understood, too: `positions`, `normals` and `texcoords` are tensors with a
@@ -348,18 +365,9 @@ class SceneParameters(Mapping[str, Any]):
             edited = {id(entry.owner) for entry, _ in changes}
             with may_wait():
                 refresh([node for node, _ in told if id(node) in edited])
-        if self._root not in SCENES:
-            places = {(id(entry.owner), entry.attribute) for entry, _ in changes}
-            for scene in list(SCENES) if changes else ():
-                traverse(scene)._follow(places)
+        if changes and self._root not in SCENES:
+            follow({(id(entry.owner), entry.attribute) for entry, _ in changes})
         return told
-
-    def _follow(self, places: Set[tuple[int, str]]) -> None:
-        """Bring the root up to date after edits of owners' attributes by the parameters of a part of it."""
-        for key, entry in self._entries.items():
-            if (id(entry.owner), entry.attribute) in places:
-                self.set_dirty(key)
-        self.update()
 
     def _who_must_know(self, changed: Iterable[Entry]) -> list[tuple[Plugin, set[str]]]:
         """The owners of changed parameters and all plugins around them, innermost first, with the changed names."""

@@ -175,7 +175,7 @@ class Scene(MitsubaScene):
         """Whether rays need a time, because what they meet depends on it."""
         with may_wait():
             self._compile()
-        SCENES.add(self)
+        SCENES[self] = frozenset()
 
     def _numbered(self, merging: Merging | None) -> list[Plugin]:
         """The plugins in the order in which Mitsuba numbers them: those that its loader merges with others are last."""
