@@ -55,7 +55,7 @@ def test_rays_are_those_of_the_pixels() -> None:
     batches = loader(djpt, 48, tile_size=4)
     _, flat = batches.next()
     flat.prepare()
-    ray = flat.ray_of_pixel(dr.arange(UInt32, 48), Point2f(0.25, 0.75), Point2f(0.5))
+    ray = flat.ray_of_pixel(dr.arange(UInt32, 48), Point2f(0.25, 0.75), Point2f(0.5), djpt.Float(0))
     again, weight = flat.sample_ray(0.0, 0.0, Point2f((dr.arange(djpt.Float, 48) + 0.25) / 48, 0.75), Point2f(0.5))
     pixels = np.array(flat.pixel_idx)
     for number, sensor in enumerate(flat.sensors):

@@ -37,6 +37,7 @@ class FlatSensor(SensorGroup):
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         self.sensors: list[Sensor] = []
+        self._carriers: list[Any] = []
         self.pixel_idx = UInt32(0)
         self.num_sensors = self.source_film_width = self.source_film_height = self.pixels_per_batch = 0
 
