@@ -101,6 +101,7 @@ def test_the_circle_is_where_directions_end(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", CIRCLES)
+@pytest.mark.sparse(2)
 def test_points_are_shown_where_rays_lead_to_them(name: str) -> None:
     """And nowhere else: what is shown at all has a ray that leads there."""
     camera, at = djpt.load_dict(sensor(name)), Point2f(*uniform(4096))

@@ -154,7 +154,7 @@ def test_a_point_out_of_focus_becomes_a_round_disk() -> None:
 # ---------------------------------------------------------------- gradients
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(6)
 @pytest.mark.parametrize("name", SCENES)
 def test_gradients_are_differences(name: str) -> None:
     """The image is a polynomial in the albedo: at equal seeds differences of images tell its derivative."""

@@ -63,6 +63,7 @@ def test_a_turned_aperture() -> None:
 
 
 @pytest.mark.parametrize("behind", [True, False])
+@pytest.mark.sparse(2)
 def test_a_blurred_light_is_the_polygon(behind: bool) -> None:
     """A small disk out of focus: the picture's area, and where it is bright and dark, but for the blur at its edge."""
     depth, focus, radius, small, size = (4.0, 2.0, 0.3, 0.03, 32) if behind else (2.0, 4.0, 0.3, 0.015, 32)

@@ -199,6 +199,7 @@ def test_which_workers_are_trusted(monkeypatch: pytest.MonkeyPatch) -> None:
     assert watch.live == {"stops"} and watch.trusts(None)
 
 
+@pytest.mark.slow
 def test_without_workers_it_says_so(fresh_cluster: Cluster) -> None:
     with pytest.warns(RuntimeWarning, match="there are no workers at tcp://"):
         images = djpt.apps.cluster.render_passes(
@@ -305,6 +306,7 @@ def brightness(image: Any, view: int) -> Any:
     return dr.mean(dr.square(image), axis=None)
 
 
+@pytest.mark.slow
 def test_gradients_are_sums_over_views(cluster: Cluster) -> None:
     key = "red.reflectance.value"
     value = np.array([[0.5], [0.1], [0.2]], np.float32)

@@ -16,6 +16,7 @@ from tests.kit.processes import old_llvm, run_python
 DOCTOR = "import sys; from djpt.apps.cli.doctor import main; sys.exit(main())"
 
 
+@pytest.mark.slow
 def test_this_machine() -> None:
     report = examine()
     assert report.usable
@@ -39,6 +40,7 @@ print(re.search(r"<(\\d+) x float>", code)[1], name)
 
 
 @pytest.mark.skipif(djpt.variant() != "llvm_ad_rgb", reason="lanes are LLVM's")
+@pytest.mark.slow
 def test_it_names_the_width_of_kernels() -> None:
     """That of the code that Dr.Jit hands to LLVM."""
     done = run_python("-c", WIDTH)
@@ -46,6 +48,7 @@ def test_it_names_the_width_of_kernels() -> None:
     assert f", {width} lanes ({name}), " in examine()["Trial"].found
 
 
+@pytest.mark.slow
 def test_it_works_from_another_folder(tmp_path: Path) -> None:
     done = run_python("-c", DOCTOR, cwd=tmp_path)
     assert done.returncode == 0, done.stderr

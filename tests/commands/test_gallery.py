@@ -38,6 +38,7 @@ def test_every_material_has_a_panel() -> None:
 
 
 @pytest.mark.parametrize("name", PANELS)
+@pytest.mark.sparse(4)
 def test_a_panel_loads(name: str) -> None:
     panel = PANELS[name]
     description = panel.scene(SIZE)

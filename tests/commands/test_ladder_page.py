@@ -187,6 +187,7 @@ def test_the_noise_of_the_reference_is_taken_out() -> None:
     assert error_floor(a + 0.1, b + 0.1, (4, 1), goal) == pytest.approx(0.1, rel=0.1)
 
 
+@pytest.mark.slow
 def test_seeds_change_the_images_and_nothing_else(count: int) -> None:
     """Reference and images come from different seeds, or the error would be too small."""
     again = measure("cornell_box", spp=1, width=8, reference_spp=16)

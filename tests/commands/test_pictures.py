@@ -82,6 +82,7 @@ def test_a_file_that_holds_no_such_colour_is_refused_before_the_image(monkeypatc
 
 
 @pytest.mark.parametrize("width", [40, 80])
+@pytest.mark.sparse(2)
 def test_the_list_of_commands_is_not_cut_off(width: int) -> None:
     command: list[Any] = [sys.executable, "-m", "djpt", "--help"]
     environment = {**os.environ, "COLUMNS": str(width)}

@@ -318,6 +318,7 @@ def test_nothing_is_installed_if_llvm_is_there() -> None:
 
 
 @pytest.mark.parametrize("version", [14, 15, 16])
+@pytest.mark.sparse(2)
 def test_a_users_own_choice_is_not_overruled(tmp_path: Path, version: int) -> None:
     done = run_python("-m", "djpt.jit.llvm", "--if-needed", library=old_llvm(tmp_path, version))
     assert (done.returncode, done.stdout) == (3, "")

@@ -66,7 +66,7 @@ def image(scene: djpt.Scene, seed: UInt32) -> TensorXf:
     return djpt.render(scene, spp=2, seed=seed)
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(6)
 @pytest.mark.parametrize("name", SCENES)
 def test_a_frozen_rendering_gives_the_same_bits(name: str) -> None:
     scene = djpt.load_dict(SCENES[name]())

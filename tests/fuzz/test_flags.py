@@ -36,7 +36,7 @@ def check(pool: Pool, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["SymbolicScope", "SymbolicLoops", "ForbidSynchronization"])
-@pytest.mark.sparse(2)
+@pytest.mark.sparse(4)
 def test_flags_that_change_most(pool: Pool, name: str) -> None:
     check(pool, name)
 

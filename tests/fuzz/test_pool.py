@@ -45,6 +45,7 @@ def test_waiting_forever_hangs() -> None:
     assert (verdict.outcome, verdict.error) == ("hung", "by the clock")
 
 
+@pytest.mark.slow
 def test_programs_write_no_large_files(pool: Pool) -> None:
     write = "import os\nos.truncate(os.open('large', os.O_CREAT | os.O_RDWR), {size})"
     assert pool.run(Case(write.format(size=MOST_WRITTEN))).outcome == "fine"

@@ -67,7 +67,7 @@ def answers(structure: Accelerator, ray: Ray3f) -> tuple[NDArray[Any], ...]:
     return t.numpy(), face.numpy(), any_hit.numpy()
 
 
-@pytest.mark.sparse(18)
+@pytest.mark.sparse(36)
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", SOUPS)
 def test_all_structures_find_the_hits_of_brute_force(name: str, kind: str) -> None:

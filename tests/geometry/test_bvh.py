@@ -59,7 +59,7 @@ def test_every_primitive_is_in_one_leaf_and_every_box_fits_tightly(name: str, me
 
 @pytest.mark.parametrize("width", [2, 4, 8])
 @pytest.mark.parametrize("name", SOUPS)
-@pytest.mark.sparse(6)
+@pytest.mark.sparse(12)
 def test_a_wide_tree_holds_the_same_leaves_in_depth_first_order(name: str, width: int) -> None:
     low, high = boxes(SOUPS[name]())
     tree = collapse(build(low, high), width)
@@ -169,6 +169,7 @@ def test_a_floor_is_split_off_at_the_root() -> None:
     assert near_root.issuperset(giants)
 
 
+@pytest.mark.slow
 def test_the_cost_is_what_random_lines_meet() -> None:
     """Lines with uniform directions and offsets that meet the root's box."""
     tree = wide_of(sphere(100))

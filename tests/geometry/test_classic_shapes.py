@@ -51,7 +51,7 @@ def rays(count: int = 4000) -> tuple[np.ndarray, np.ndarray]:
     return o, d / np.linalg.norm(d, axis=0)
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(6)
 @pytest.mark.parametrize("name", [name for name in SHAPES if name != "sdfgrid"])
 def test_partials_are_the_change_of_position_with_uv(name: str) -> None:
     """Two hits close together: p' - p = dp/du (u' - u) + dp/dv (v' - v)."""
@@ -87,7 +87,7 @@ def test_flipping_turns_the_normals_round(name: str, flip: bool) -> None:
         assert np.mean((towards > 0) != flip) > 0.99
 
 
-@pytest.mark.sparse(4)
+@pytest.mark.sparse(8)
 @pytest.mark.parametrize("name", SHAPES)
 def test_closed_shapes_are_those_with_an_inside(name: str) -> None:
     """Every ray crosses a closed surface an even number of times."""
@@ -106,7 +106,7 @@ def test_closed_shapes_are_those_with_an_inside(name: str) -> None:
     assert odd < 5e-3 if name in CLOSED else odd > 0.02
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(6)
 @pytest.mark.parametrize("name", ["cuboid", "sphere", "torus", "metaballs", "sdfgrid", "implicit"])
 def test_furnace_within(name: str) -> None:
     """Inside of a closed shape that shines inwards with 1 and reflects half, every direction shows 2."""

@@ -128,6 +128,7 @@ NOTHING = np.zeros((0, 6), np.float32)
 
 
 @pytest.mark.parametrize("name", CASES)
+@pytest.mark.sparse(4)
 def test_trees_hold_every_triangle_once_in_boxes_that_fit(name: str) -> None:
     corners = np.ascontiguousarray(CASES[name]())
     tree = build(corners)
@@ -161,6 +162,7 @@ def test_trees_are_the_same_with_any_number_of_threads(count: int) -> None:
 
 
 @pytest.mark.parametrize("name", CASES)
+@pytest.mark.sparse(4)
 def test_refitted_trees_hold_moved_triangles(name: str) -> None:
     corners = np.ascontiguousarray(CASES[name]())
     tree = build(corners)
@@ -185,7 +187,7 @@ def test_refit_moves_placed_primitives() -> None:
 
 
 @pytest.mark.parametrize("name", ["nested", "exponential", "giants_among_dwarfs"])
-@pytest.mark.sparse(2)
+@pytest.mark.sparse(4)
 def test_skewed_input_makes_no_deep_trees(name: str) -> None:
     corners = np.ascontiguousarray(np.concatenate([CASES[name]()] * 3))
     tree = build(corners)

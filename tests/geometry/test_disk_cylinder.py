@@ -62,7 +62,7 @@ def wide(x: Any, count: int) -> np.ndarray:
     return np.broadcast_to(values, (*values.shape[:-1], count))
 
 
-@pytest.mark.sparse(6)
+@pytest.mark.sparse(12)
 @pytest.mark.parametrize("description", CASES.values(), ids=CASES)
 def test_surface_is_mitsubas(description: dict[str, Any]) -> None:
     mi, scene = mitsuba(description)

@@ -152,6 +152,7 @@ def test_hits_are_those_of_the_tree() -> None:
     [(BOX, SIDES), (turned(BOX * [1, 0.03, 1]) + np.array([50, 20, 3]), SIDES), (turned(BALL), HULL)],
     ids=["box", "thin, off centre", "icosahedron"],
 )
+@pytest.mark.sparse(2)
 def test_no_ray_slips_through_an_edge(points: Floats, indices: NDArray[Any]) -> None:
     """Rays from inside, at points on edges and within rounding errors of them."""
     count = 1 << 17

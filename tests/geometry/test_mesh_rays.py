@@ -187,6 +187,7 @@ def test_many_rays_at_once(folder: Path, kind: str, count: int) -> None:
 
 
 @pytest.mark.parametrize("kind", SCENES)
+@pytest.mark.sparse(2)
 def test_masks_for_many_and_for_few(folder: Path, kind: str) -> None:
     scene = SCENES[kind](folder)
     for count in (1000, 300_000):

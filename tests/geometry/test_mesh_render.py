@@ -36,6 +36,7 @@ def room(path: Path, **keys: Any) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("keys", [{}, {"face_normals": True, "flip_normals": False}])
+@pytest.mark.sparse(2)
 def test_meshes_and_mesh_lights_give_the_pixels_of_mitsuba(tmp_path: Path, keys: dict[str, Any]) -> None:
     pytest.importorskip("mitsuba")
     scene = room(write_binary_ply(tmp_path / "sheet.ply", bumpy_sheet(6)), **keys)

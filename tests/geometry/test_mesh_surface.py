@@ -41,7 +41,7 @@ def fields(si: Any) -> dict[str, Array]:
 CASES = [(n, uv, flip, t) for n in (False, True) for uv in (False, True) for flip, t in ((False, T()), (True, TURNED))]
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(6)
 @pytest.mark.parametrize(("normals", "uv", "flip", "to_world"), [*CASES, (True, True, False, MIRRORED)])
 def test_surface_points_are_those_of_mitsuba(
     mi: Any, tmp_path: Path, normals: bool, uv: bool, flip: bool, to_world: T

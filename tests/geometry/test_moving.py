@@ -289,7 +289,7 @@ def test_bad_values_change_nothing(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("schedule", ["machine", "flat", "wave"])
-@pytest.mark.sparse(2)
+@pytest.mark.sparse(4)
 def test_a_camera_that_goes_far_away_and_comes_back(folder: Path, schedule: str) -> None:
     """From afar rays are moved near the triangles first: a new kernel, once."""
     description = village(folder)

@@ -79,7 +79,7 @@ def test_usual_scenes_are_rendered_as_they_are() -> None:
         assert normalized_scene(djpt.load_dict(build())) is None
 
 
-@pytest.mark.sparse(4)
+@pytest.mark.sparse(8)
 @pytest.mark.parametrize("name", PLACED)
 def test_powers_of_two_change_no_bit(name: str) -> None:
     """The frame scales by powers of two, exactly, whatever has a length or an intensity."""
@@ -107,6 +107,7 @@ def sensors(place: Place) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("name", sensors(Place()))
+@pytest.mark.sparse(2)
 def test_sensors_see_what_they_see_at_unit_size(name: str) -> None:
     at_unit, small = (
         image(PLACED["balls"](place) | {"sensor": sensors(place)[name]}) for place in (Place(), Place(2.0**-20))
@@ -201,6 +202,7 @@ def test_records_stay_in_the_users_units() -> None:
 
 
 @pytest.mark.parametrize("unfiltered", [False, True])
+@pytest.mark.sparse(2)
 def test_aovs_stay_in_the_users_units(unfiltered: bool) -> None:
     """Beside light that is that of unit size; channels of lengths and places are converted."""
     names = ("depth", "distance", "position", "dp_du", "sh_normal", "uv", "shape_index", "albedo")
@@ -237,7 +239,7 @@ def test_a_scripts_plugin_keeps_a_scene_in_its_place() -> None:
 
 @pytest.mark.parametrize("name", ["glow", "lengths"])
 @pytest.mark.parametrize("scale", [1e-6, 1e6])
-@pytest.mark.sparse(2)
+@pytest.mark.sparse(4)
 def test_what_is_per_length_is_converted(name: str, scale: float) -> None:
     """Emission and absorption, and the heights of bump maps."""
     scenes = [PLACED[name](place) for place in (Place(), Place(scale))]

@@ -218,7 +218,7 @@ def poses() -> list[Any]:
     ]
 
 
-@pytest.mark.sparse(12)
+@pytest.mark.sparse(24)
 @pytest.mark.parametrize(("name", "pose", "flip"), poses())
 def test_surface_is_mitsubas(name: str, pose: T, flip: bool) -> None:
     mi = pytest.importorskip("mitsuba")

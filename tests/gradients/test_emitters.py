@@ -44,7 +44,7 @@ class EmitterSlopes(Slopes):
 SEEN = [name for name in NAMES if plugin_of(name) != "directionalarea"]
 
 
-@pytest.mark.sparse(12)
+@pytest.mark.sparse(24)
 @pytest.mark.parametrize("name", first_of_each(SEEN))
 def test_every_parameter(name: str) -> None:
     slopes, exact = EmitterSlopes(name), {}

@@ -54,7 +54,7 @@ def test_threads_that_add_to_the_same_entries(channels: int, copies: int) -> Non
 
 @pytest.mark.parametrize("channels", [1, 3])
 @pytest.mark.parametrize("keys", [{}, {"filter_type": "nearest"}], ids=["bilinear", "nearest"])
-@pytest.mark.sparse(2)
+@pytest.mark.sparse(4)
 def test_gradients_by_either_way(keys: dict[str, Any], channels: int, monkeypatch: pytest.MonkeyPatch) -> None:
     name = f"{FLOOR}.data"
 

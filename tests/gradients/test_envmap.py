@@ -67,7 +67,7 @@ def one(*where: Any) -> np.ndarray:
     return along
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(6)
 @pytest.mark.parametrize("keys", [{}, {"mis_compensation": True}], ids=["plain", "compensated"])
 @pytest.mark.parametrize("integrator", ["prb", "path", "direct"])
 def test_same_samples(integrator: str, keys: dict[str, Any], fixed_densities: Any) -> None:

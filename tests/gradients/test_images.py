@@ -94,7 +94,7 @@ def test_zero_albedo() -> None:
 # ---------------------------------------------------------------- films
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(6)
 @pytest.mark.parametrize("pixel_format", ["rgba", "luminance"])
 @pytest.mark.parametrize("rfilter", ["box", "gaussian"])
 def test_pixel_formats(rfilter: str, pixel_format: str) -> None:
@@ -108,6 +108,7 @@ def test_filters(rfilter: str) -> None:
 
 
 @pytest.mark.parametrize("integrator", [PRB, PLAIN], ids=["prb", "plain"])
+@pytest.mark.sparse(2)
 def test_crop_and_border(integrator: dict[str, Any]) -> None:
     film = {"crop_width": 9, "crop_height": 7, "crop_offset_x": 2, "crop_offset_y": 5, "sample_border": True}
     Experiment(box(16, "gaussian", integrator, **film), [ALBEDO, "white.reflectance.value"]).check()

@@ -50,7 +50,7 @@ class ThreeBounces(Integrator):
 djpt.register_integrator("three_bounces", ThreeBounces)
 
 
-@pytest.mark.sparse(6)
+@pytest.mark.sparse(12)
 @pytest.mark.parametrize("rfilter", ["box", "gaussian"])
 @pytest.mark.parametrize("integrator", STEPS, ids=str)
 def test_albedo_and_radiance(integrator: dict[str, Any], rfilter: str) -> None:

@@ -129,7 +129,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("kind", "plugin"), CASES)
-@pytest.mark.sparse(6)
+@pytest.mark.sparse(12)
 def test_ends_of_ranges(kind: str, plugin: str) -> None:
     verdicts = []
     for limits in limits_of(*scene_of(kind, plugin), spp=4096 if plugin == "heterogeneous" else 512):

@@ -173,7 +173,7 @@ def test_every_parameter_of_a_bsdf(name: str) -> None:
     assert all(good for good, _ in verdicts), "\n".join(text for good, text in verdicts if not good)
 
 
-@pytest.mark.sparse(9)
+@pytest.mark.sparse(18)
 @pytest.mark.parametrize("factor", [1.05, -1.0])
 @pytest.mark.parametrize(
     ("name", "key", "delta"),
@@ -238,7 +238,7 @@ def test_every_parameter_in_an_image(name: str) -> None:
     assert all(good for good, _ in verdicts), "\n".join(text for good, text in verdicts if not good)
 
 
-@pytest.mark.sparse(72)
+@pytest.mark.sparse(144)
 @pytest.mark.parametrize("name", first_of_each(NAMES))
 def test_schedules_agree(name: str) -> None:
     """The same samples in another order."""

@@ -51,7 +51,7 @@ def test_gradients_by_texels(keys: dict[str, Any], integrator: str) -> None:
         assert gradients[name][index] == pytest.approx(slope, rel=0.01, abs=2e-6)
 
 
-@pytest.mark.sparse(4)
+@pytest.mark.sparse(8)
 @pytest.mark.parametrize("integrator", ["prb", "path", "direct"])
 @pytest.mark.parametrize("shared", [True, False], ids=["shared", "own"])
 def test_gradients_of_bitmaps_in_several_kinds_of_materials(shared: bool, integrator: str) -> None:

@@ -37,7 +37,7 @@ CROPS: dict[str, dict[str, int]] = {
 }
 
 
-@pytest.mark.sparse(69)
+@pytest.mark.sparse(138)
 @pytest.mark.parametrize("sample_border", [False, True], ids=["", "border"])
 @pytest.mark.parametrize("crop", CROPS.values(), ids=CROPS)
 @pytest.mark.parametrize("rfilter", FILTERS.values(), ids=FILTERS)

@@ -103,6 +103,7 @@ def test_colours_beside_unfiltered_channels_are_differentiable() -> None:
 
 
 @pytest.mark.parametrize("nested", [{"type": "path", "max_depth": 2}, {"type": "direct"}], ids=lambda i: i["type"])
+@pytest.mark.sparse(2)
 def test_nested_integrators_choose_emitters_as_they_do_alone(nested: dict[str, Any]) -> None:
     from tests.kit.renders import lights
 
@@ -162,6 +163,7 @@ def test_the_shading_normal_is_the_one_that_a_normal_map_asks_for() -> None:
 
 @pytest.mark.parametrize("filter_name", ["box", "gaussian"])
 @pytest.mark.parametrize("unfiltered", [False, True])
+@pytest.mark.sparse(2)
 def test_aovs_run_in_the_schedule_of_a_nested_path_tracer(filter_name: str, unfiltered: bool) -> None:
     description = box(20, filter_name, aov("d:distance,n:sh_normal,i:shape_index", p=PATH, unfiltered=unfiltered))
     scene, alone = djpt.load_dict(description), djpt.load_dict({**description, "integrator": PATH})

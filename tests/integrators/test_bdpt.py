@@ -33,7 +33,7 @@ LIT = first_of_each(name for name in NAMES if plugin_of(name) not in ("direction
 FURTHER = [name for name in NAMES if plugin_of(name) in ("spot", "projector")]
 
 
-@pytest.mark.sparse(12)
+@pytest.mark.sparse(24)
 @pytest.mark.parametrize("name", [*LIT, *(pytest.param(name, marks=pytest.mark.slow) for name in FURTHER)])
 def test_lights(name: str) -> None:
     check(floor_scene({"light": entry(name)}, size=16))

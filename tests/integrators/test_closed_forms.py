@@ -102,6 +102,7 @@ def test_bounces(name: str, integrator: Keys) -> None:
 
 
 @pytest.mark.parametrize("name", ["shining sphere", "shining box"])
+@pytest.mark.sparse(2)
 def test_furnaces_by_direct_light(name: str) -> None:
     case = CASES[name]
     for samples in ({"shading_samples": 2}, {"emitter_samples": 0, "bsdf_samples": 1}):
@@ -301,7 +302,7 @@ def those_that_see(factor: Callable[[Array, Array], Array]) -> list[Keys]:
     return [*BY_CHANCE, *BY_LIGHT_SAMPLES, *more]
 
 
-@pytest.mark.sparse(32)
+@pytest.mark.sparse(64)
 @pytest.mark.parametrize(
     ("factor", "integrator"),
     [(factor, integrator) for factor in LAMPS for integrator in those_that_see(factor)],

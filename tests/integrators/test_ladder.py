@@ -227,7 +227,7 @@ class TestDistributed:
 # ---------------------------------------------------------------- bounces
 
 
-@pytest.mark.sparse(6)
+@pytest.mark.sparse(12)
 @pytest.mark.parametrize("name", ["path", "prb", "path_nee", "path_naive", "prb_basic"])
 @pytest.mark.parametrize("materials", ["diffuse", "shiny"])
 def test_bounces_add_up(name: str, materials: str) -> None:

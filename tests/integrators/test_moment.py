@@ -43,7 +43,7 @@ def test_the_same_channels_and_pixels_as_in_mitsuba(integrator: dict[str, Any]) 
 
 @pytest.mark.parametrize("schedule", ["flat", "wave"])
 @pytest.mark.parametrize("filter_name", ["box", "tent"])
-@pytest.mark.sparse(2)
+@pytest.mark.sparse(4)
 def test_the_schedules_of_a_path_tracer_make_its_moments(schedule: str, filter_name: str) -> None:
     alone = box(24, filter_name, {"type": "path", "max_depth": 3, "hide_emitters": True})
     scene, nested = djpt.load_dict(alone), djpt.load_dict({**alone, "integrator": moment(img=alone["integrator"])})

@@ -81,13 +81,14 @@ INTEGRATORS: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.sparse(6)
+@pytest.mark.sparse(12)
 @pytest.mark.parametrize("integrator", INTEGRATORS.values(), ids=INTEGRATORS)
 def test_integrators(integrator: dict[str, Any]) -> None:
     overlapping(box(64, "box", integrator))
 
 
 @pytest.mark.parametrize("name", ["aov", "direct, 3 and 2", "prb", "depth"])
+@pytest.mark.sparse(2)
 def test_integrators_on_curved_shapes(name: str) -> None:
     overlapping(box(64, "box", INTEGRATORS[name], spheres))
 
@@ -105,7 +106,7 @@ def test_shape_index_tells_shapes_apart() -> None:
     assert len(pairs) == len({a for a, _ in pairs}) == len({b for _, b in pairs}) == 9
 
 
-@pytest.mark.sparse(2)
+@pytest.mark.sparse(4)
 @pytest.mark.parametrize("pixel_format", ["rgb", "rgba", "luminance"])
 @pytest.mark.parametrize("integrator", [PATH, {**PATH, "hide_emitters": True}], ids=["path", "hidden"])
 def test_pixel_formats(pixel_format: str, integrator: dict[str, Any]) -> None:
@@ -132,6 +133,7 @@ def test_films(rfilter: str, edit: Edit | None, sample_border: bool) -> None:
      {"type": "mitchell", "B": 0.2, "C": 0.4}, {"type": "lanczos", "lobes": 2}],
     ids=str,
 )  # fmt: skip
+@pytest.mark.sparse(2)
 def test_filter_parameters(rfilter: dict[str, Any]) -> None:
     image, reference = (f(box(32, rfilter, {"type": "depth"}), 4, 1) for f in (ours, theirs))
     assert agreement(image, reference, 1e-3).share >= 0.98
@@ -161,7 +163,7 @@ def test_lights(names: tuple[str, ...], integrator: dict[str, Any]) -> None:
     overlapping(box(64, "box", integrator, lights(*names)))
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(6)
 @pytest.mark.parametrize("hide", [False, True], ids=["", "hidden"])
 @pytest.mark.parametrize("name", ["path", "prb", "direct", "depth"])
 def test_alpha_under_the_sky(name: str, hide: bool) -> None:
@@ -222,7 +224,7 @@ def many(scene: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     "integrator", [PATH, {"type": "direct"}, {"type": "aov", "aovs": AOVS}], ids=lambda i: i["type"]
 )
-@pytest.mark.sparse(2)
+@pytest.mark.sparse(4)
 def test_many_shapes_materials_and_lights(integrator: dict[str, Any]) -> None:
     overlapping(box(64, "box", integrator, many))
 

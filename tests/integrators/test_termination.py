@@ -90,6 +90,7 @@ def test_depths_of_nested_integrators_share_a_kernel(nested: dict[str, Any], sce
 
 
 @pytest.mark.parametrize("schedule", ["flat", "machine", "wave"])
+@pytest.mark.sparse(2)
 def test_depths_share_a_kernel_in_all_schedules(schedule: str, tmp_path: Path) -> None:
     meshes = djpt.load_dict(gallery(tmp_path, (8, 8)))
     launched = [
@@ -129,6 +130,7 @@ def test_depths_may_be_edited(kind: str, scene: Any) -> None:
 
 
 @pytest.mark.parametrize("kind", ["path", "volpath", "bdpt"])
+@pytest.mark.sparse(2)
 def test_edited_depths_may_be_none_and_unbounded(kind: str, scene: Any) -> None:
     edited = limited(kind, (2, 1))
     edited.max_depth = 0

@@ -33,6 +33,7 @@ def scene(name: str, value: float) -> Any:
 
 
 @pytest.mark.parametrize("name", LIGHTS)
+@pytest.mark.sparse(2)
 def test_the_brightest_light_has_finite_pixels(name: str) -> None:
     image = np.array(djpt.render(scene(name, 1e30), spp=64))
     assert np.isfinite(image).all() and image.max() > 1e27

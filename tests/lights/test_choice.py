@@ -64,7 +64,7 @@ def chances(choice: Any, p: Any, n: Any) -> np.ndarray:
     )
 
 
-@pytest.mark.sparse(5)
+@pytest.mark.sparse(10)
 @pytest.mark.parametrize("name", LIGHT_SAMPLERS)
 @pytest.mark.parametrize(("count", "infinite"), [(1, 0), (2, 0), (1, 1), (0, 2), (9, 0), (40, 0), (40, 3), (300, 1)])
 def test_choices_follow_their_probabilities(name: str, count: int, infinite: int) -> None:

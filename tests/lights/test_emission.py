@@ -193,7 +193,7 @@ class TestEmission:
         assert integral == pytest.approx(1, abs=5e-3)
         assert p > SIGNIFICANCE
 
-    @pytest.mark.sparse(32)
+    @pytest.mark.sparse(64)
     def test_positions_follow_the_density(self, source: dict[str, Any] | str) -> None:
         scene = scene_of(source)
         es = emitted(scene, COUNT, seed=5)

@@ -75,7 +75,7 @@ def test_density_integrates_to_one(rows: int, columns: int, kind: str) -> None:
     assert integral == pytest.approx(1, abs=1e-3)
 
 
-@pytest.mark.sparse(6)
+@pytest.mark.sparse(12)
 @pytest.mark.parametrize("compensation", [False, True])
 @pytest.mark.parametrize("kind", ("plain", "gradient"))
 @pytest.mark.parametrize(("rows", "columns"), SIZES)

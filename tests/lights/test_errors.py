@@ -132,6 +132,7 @@ PARAMETERS = {
 
 
 @pytest.mark.parametrize("name", PARAMETERS)
+@pytest.mark.sparse(3)
 def test_parameters_have_mitsubas_names(name: str) -> None:
     mi = pytest.importorskip("mitsuba")
     ours = djpt.traverse(lit(light=entry(name)))

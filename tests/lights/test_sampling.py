@@ -85,7 +85,7 @@ class TestDirections:
         assert integral <= 1 + 5e-3
         assert p > SIGNIFICANCE
 
-    @pytest.mark.sparse(3)
+    @pytest.mark.sparse(12)
     def test_weights_are_radiance_over_density(self, light: dict[str, Any] | str) -> None:
         scene = scene_of(light)
         ds, weight = scene.sample_emitter_direction(reference(), Point2f(*uniform(4096, seed=3)), False)
@@ -291,7 +291,7 @@ def test_rays_are_mitsubas(name: str) -> None:
     assert agree.mean() > 0.998
 
 
-@pytest.mark.sparse(10)
+@pytest.mark.sparse(20)
 @pytest.mark.parametrize("name", [name for name in NAMES if name not in HIDDEN])
 def test_rays_bring_the_light_that_is_sampled(name: str) -> None:
     """What a disk of the ground receives: by rays from the light, and by directions towards the light."""
@@ -319,6 +319,7 @@ def test_rays_bring_the_light_that_is_sampled(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
+@pytest.mark.sparse(4)
 def test_bounds_hold_the_light(name: str) -> None:
     """Rays start in the box, and leave within theta_o + theta_e of the axis."""
     scene = room(entry(name))

@@ -50,7 +50,7 @@ def test_these_shapes_are_known_by_uv() -> None:
     assert names == {"rectangle", "disk", "sphere", "cylinder", "cone", "paraboloid"}
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(6)
 @pytest.mark.parametrize("description", known_by_uv())
 def test_points_have_their_uv(description: dict[str, Any]) -> None:
     """A ray onto the point at uv finds that uv, and dp/du, dp/dv that span the area of the density."""
@@ -117,7 +117,7 @@ def test_directions_follow_the_density(name: str) -> None:
     assert p > SIGNIFICANCE
 
 
-@pytest.mark.sparse(6)
+@pytest.mark.sparse(12)
 @pytest.mark.parametrize("description", LIGHTS.values(), ids=LIGHTS)
 def test_light_arrives_from_where_it_is_seen(description: dict[str, Any]) -> None:
     """Integrals of the radiance over cells of the sphere, by light sampling and by directions drawn uniformly."""
@@ -151,7 +151,7 @@ def test_light_arrives_from_where_it_is_seen(description: dict[str, Any]) -> Non
     assert abs(by_light.sum() - by_chance.sum()) < 4 * total
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(6)
 @pytest.mark.parametrize("description", LIGHTS.values(), ids=LIGHTS)
 def test_weights_are_radiance_over_density(description: dict[str, Any]) -> None:
     scene = lit(light=description)
@@ -196,7 +196,7 @@ def test_directions_are_mitsubas(kind: str) -> None:
 # ---------------------------------------------------------------- rays from the light
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(6)
 @pytest.mark.parametrize("description", LIGHTS.values(), ids=LIGHTS)
 def test_rays_carry_the_power(description: dict[str, Any]) -> None:
     """The mean weight is pi times the integral of radiance over area; rays start on the surface, on its front."""
@@ -240,7 +240,7 @@ def seen(scene: dict[str, Any]) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("kind", ["bitmap", "nearest bitmap", "turned bitmap"])
-@pytest.mark.sparse(2)
+@pytest.mark.sparse(4)
 def test_the_light_itself_shows_its_texture(kind: str) -> None:
     """No BSDF looks at uv here: the light does."""
     pytest.importorskip("mitsuba")
@@ -374,7 +374,7 @@ def test_one_texture_for_a_light_and_a_wall() -> None:
 
 
 @pytest.mark.parametrize("shapes", [((5, 7, 3), (5, 7, 3)), ((5, 7, 3), (6, 8, 3)), ((5, 7, 3), (40, 3, 1))], ids=str)
-@pytest.mark.sparse(2)
+@pytest.mark.sparse(4)
 def test_lights_keep_their_pictures_apart(shapes: Any) -> None:
     """Two lights that are traced as one, or as two."""
     pytest.importorskip("mitsuba")

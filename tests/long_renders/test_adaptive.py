@@ -59,6 +59,7 @@ def luminance(found: djpt.Accumulation) -> Any:
 
 @pytest.mark.parametrize("sampler", ["independent", pytest.param("multijitter", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("rfilter", ["box", "gaussian"])
+@pytest.mark.sparse(2)
 def test_going_on_gives_the_bits_of_a_longer_render(tmp_path: Path, sampler: str, rfilter: str) -> None:
     scene = box(sampler, rfilter, size=35)
     options: dict[str, Any] = {"adaptive": True, "seed": 3}
@@ -97,7 +98,7 @@ def test_without_a_filter_surveys_are_plain_rounds() -> None:
 
 @pytest.mark.parametrize("rfilter", ["box", "gaussian"])
 @pytest.mark.parametrize("sampler", SAMPLERS)
-@pytest.mark.sparse(5)
+@pytest.mark.sparse(10)
 def test_one_round_is_a_plain_render(sampler: str, rfilter: str) -> None:
     scene = box(sampler, rfilter, size=21)
     found = next(djpt.render_passes(scene, round_spp=8, spp=64, seed=5, adaptive=True))
@@ -113,6 +114,7 @@ def test_one_round_is_a_plain_render(sampler: str, rfilter: str) -> None:
     ids=lambda node: node["type"],
 )
 @pytest.mark.parametrize("rfilter", ["box", "gaussian"])
+@pytest.mark.sparse(2)
 def test_other_integrators_can_be_adaptive(integrator: dict[str, Any], rfilter: str) -> None:
     scene, chosen = box(rfilter=rfilter, size=21), djpt.load_dict(integrator)
     found = next(djpt.render_passes(scene, integrator=chosen, spp=64, round_spp=4, adaptive=True))

@@ -50,7 +50,7 @@ def test_going_on_gives_the_bits_of_a_longer_render(sampler: str, rfilter: str) 
 
 @pytest.mark.parametrize("sampler", SAMPLERS)
 @pytest.mark.parametrize("rfilter", ["box", "gaussian"])
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(6)
 def test_one_round_is_a_plain_render(sampler: str, rfilter: str) -> None:
     scene = box(sampler, rfilter)
     np.testing.assert_array_equal(
@@ -80,6 +80,7 @@ def test_every_integrator_goes_on(integrator: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("rfilter", ["box", "gaussian"])
 @pytest.mark.parametrize("sampler", ["independent", pytest.param("multijitter", marks=pytest.mark.slow)])
+@pytest.mark.sparse(2)
 def test_recorded_rounds_are_plain_renders(sampler: str, rfilter: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also where lanes compute several pixels."""
     scene = box(sampler, rfilter, size=64)
@@ -104,7 +105,7 @@ def test_the_image_is_the_mean_of_the_rounds() -> None:
     np.testing.assert_allclose(last(scene, spp=24, round_spp=8, seed=9).image().numpy(), np.mean(rounds, 0), rtol=1e-6)
 
 
-@pytest.mark.sparse(8)
+@pytest.mark.sparse(16)
 @pytest.mark.parametrize("sampler", SAMPLERS)
 @pytest.mark.parametrize("rfilter", ["box", "gaussian"])
 def test_a_last_round_is_smaller(sampler: str, rfilter: str) -> None:
@@ -317,6 +318,7 @@ def test_arrays_of_another_image_are_refused(adaptive: bool) -> None:
 
 @pytest.mark.sparse(2)
 @pytest.mark.parametrize("spp", [32, 26])
+@pytest.mark.slow
 def test_the_error_is_that_of_many_renders(spp: int) -> None:
     """Over 40 seeds the mean of the estimated squares is that of the true ones: their own errors are some percent."""
     scene, true, estimated = box(integrator={"type": "path", "hide_emitters": True}), [], []

@@ -109,6 +109,7 @@ def test_as_an_absorbing_medium(inside: dict[str, Any], origin: Any) -> None:
 
 
 @pytest.mark.parametrize("inside", [{}, INSIDE], ids=["clear", "filled"])
+@pytest.mark.sparse(2)
 def test_gradient(inside: dict[str, Any]) -> None:
     """Absorption moves no sample, so equal seeds make differences exact."""
     loaded = djpt.load_dict(

@@ -175,7 +175,7 @@ def scene(map_: str, nested: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
-@pytest.mark.sparse(6)
+@pytest.mark.sparse(12)
 @pytest.mark.parametrize("nested", NESTED)
 @pytest.mark.parametrize("map_", ["normals", "heights"])
 def test_pictures_are_mitsubas(map_: str, nested: str) -> None:
@@ -295,6 +295,7 @@ def test_parameters_have_mitsubas_names(mi: Any) -> None:
     ("map_", "name", "index"),
     [("normals", "normalmap.data", (2, 3, 0)), ("heights", "nested_texture.data", (2, 3, 0)), ("heights", "scale", ())],
 )
+@pytest.mark.sparse(2)
 def test_gradients_by_maps(map_: str, name: str, index: tuple[int, ...]) -> None:
     description = scene(map_, "two-sided")
     # A point light alone: sampled directions, which move with the normals, then count for nothing.

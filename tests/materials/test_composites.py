@@ -361,6 +361,7 @@ def furnished(scene: dict[str, Any]) -> None:
 
 @pytest.mark.narrow
 @pytest.mark.parametrize("integrator", ["path", "prb"])
+@pytest.mark.sparse(2)
 def test_pixels_are_mitsubas(integrator: str, mi: Any) -> None:
     description = box(48, "box", {"type": integrator, "max_depth": 6}, furnished)
     image = ours(description, 8, 2)

@@ -29,6 +29,7 @@ def test_equal_pixels(name: str) -> None:
 
 
 @pytest.mark.parametrize("metal", [True, False])
+@pytest.mark.sparse(2)
 def test_textures_of_roughness_may_hold_zeros(metal: bool) -> None:
     alpha = {"type": "checkerboard", "color0": 0.0, "color1": 0.4, "to_uv": djpt.ScalarTransform4f().scale([4, 4, 1])}
     material = {"type": "roughconductor", "material": "Au"} if metal else {"type": "roughdielectric"}

@@ -110,6 +110,7 @@ def test_below_and_at_the_horizon(kind: str) -> None:
 
 @pytest.mark.parametrize("corner", [0.0, 1 - 2**-24])
 @pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.sparse(2)
 def test_corners_of_the_square(kind: str, corner: float) -> None:
     for visible in (True, False):
         for other in (0.0, 0.25, 0.5, 0.75, 1 - 2**-24):

@@ -89,7 +89,7 @@ def test_values_are_mitsubas(values: dict[str, Any], mode: int) -> None:
     compare_values(described(values), mode, sides=True if clear else lambda wi: wi[2] > 0)
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(9)
 @MODES
 @pytest.mark.parametrize("values", CASES)
 def test_samples_are_mitsubas(values: dict[str, Any], mode: int) -> None:
@@ -136,6 +136,7 @@ del GRADIENT_CASES["thinner inside"]["specular"]
 
 
 @pytest.mark.parametrize("values", GRADIENT_CASES.values(), ids=GRADIENT_CASES)
+@pytest.mark.sparse(2)
 def test_values_have_the_right_gradients(values: dict[str, Any]) -> None:
     check_gradients(described(values), off=() if "spec_trans" in values else ("spec_trans",))
 

@@ -92,7 +92,7 @@ def test_an_image_has_mitsubas_pixels() -> None:
     assert agreement(ours(description, 8), theirs(description, 8), 1e-3).share >= 0.99
 
 
-@pytest.mark.sparse(9)
+@pytest.mark.sparse(18)
 @pytest.mark.parametrize("wi", WI.values(), ids=WI)
 @pytest.mark.parametrize("values", [pytest.param(v, id=name) for name, v in SETS.items()])
 def test_samples_follow_the_density(values: dict[str, Any], wi: Any) -> None:

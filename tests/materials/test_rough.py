@@ -45,7 +45,7 @@ def variant() -> None:
 # ---------------------------------------------------------------- against Mitsuba
 
 
-@pytest.mark.sparse(9)
+@pytest.mark.sparse(18)
 @pytest.mark.parametrize("mode", TransportMode)
 @pytest.mark.parametrize("name", CASES)
 def test_mitsuba_agrees(name: str, mode: TransportMode) -> None:
@@ -94,6 +94,7 @@ def test_mitsuba_agrees(name: str, mode: TransportMode) -> None:
 
 
 @pytest.mark.parametrize("name", CASES)
+@pytest.mark.sparse(3)
 def test_parameters_are_mitsubas(name: str) -> None:
     mine, reference = djpt.traverse(djpt.load_dict(CASES[name])), mi.traverse(mi.load_dict(CASES[name]))
     assert set(mine) == {key for key, _ in reference}
@@ -156,7 +157,7 @@ def test_reciprocity_of_glass(mode: str) -> None:
     np.testing.assert_allclose(forward * index**2, reverse, rtol=1e-3, atol=1e-5)
 
 
-@pytest.mark.sparse(6)
+@pytest.mark.sparse(12)
 @pytest.mark.parametrize("wi", [(0, 0, 1), (0.6, -0.3, 0.5), (0.9, 0.4, 0.1), (0.3, 0.5, -0.8)])
 @pytest.mark.parametrize("keys", [{}, {"distribution": "ggx", "nonlinear": True}, {"sample_visible": False}])
 def test_rough_plastic_is_sampled_by_its_density(keys: dict[str, Any], wi: Any) -> None:

@@ -52,7 +52,7 @@ def differing(values: Any, expected: Any) -> float:
     return float((np.abs(values - expected) > 1e-2 * np.maximum(np.abs(expected), large)).mean())
 
 
-@pytest.mark.sparse(4)
+@pytest.mark.sparse(8)
 @pytest.mark.parametrize(("name", "key", "value"), DERIVATIVES)
 def test_derivative_of_eval(name: str, key: str, value: float | None) -> None:
     bsdf = djpt.load_dict(CASES[name])

@@ -86,6 +86,7 @@ def test_furnace(name: str, boundary: str, spp: int) -> None:
 @pytest.mark.parametrize("spp", SAMPLES)
 @pytest.mark.parametrize("integrator", ["volpath", "volpathmis"])
 @pytest.mark.parametrize("kind", ["homogeneous", "grid"])
+@pytest.mark.sparse(2)
 def test_an_absorbing_ball(kind: str, integrator: str, spp: int) -> None:
     """exp(-2 sigma_t) along a diameter, by chance: light that is scattered is lost."""
     sigma = np.array([0.3, 0.6, 1.1])

@@ -27,7 +27,7 @@ def rendered(description: dict[str, Any], integrator: str, spp: int = 4, **optio
 @pytest.mark.parametrize("integrator", INTEGRATORS)
 @pytest.mark.parametrize("schedule", ["flat", "machine"])
 @pytest.mark.parametrize("filter_type", ["trilinear", "nearest"])
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(6)
 def test_flights_beside_dense_matter_end(integrator: str, schedule: str, filter_type: str) -> None:
     """Where there is nothing, collisions with a majorant of 1e38 took steps of no length."""
     medium = smoke(HALF * 1e38, 0.75)
@@ -53,7 +53,7 @@ def test_a_scale_beyond_all_numbers() -> None:
 
 @pytest.mark.parametrize("integrator", INTEGRATORS)
 @pytest.mark.parametrize("sigma_t", [1e38, colour(1e38, 1e38, 1e38), colour(3e38, 1e20, 1.0)], ids=str)
-@pytest.mark.sparse(2)
+@pytest.mark.sparse(4)
 def test_dense_fog(integrator: str, sigma_t: Any) -> None:
     """The closed form: squares of densities overflowed. Its derivatives are numbers, too."""
     scene = djpt.load_dict(lit_ball(fog(sigma_t, 0.75), integrator=integrator, size=4))

@@ -51,7 +51,7 @@ def test_a_ball_of_glowing_fog(integrator: str, sigma: tuple[float, ...]) -> Non
     np.testing.assert_allclose(image.reshape(-1, 3), np.tile(expected, (16, 1)), rtol=2e-4)
 
 
-@pytest.mark.sparse(4)
+@pytest.mark.sparse(8)
 @pytest.mark.parametrize("integrator", INTEGRATORS)
 @pytest.mark.parametrize("tint", [(1.0,), (0.3, 1.0, 1.7)], ids=["grey", "coloured"])
 def test_a_flame(integrator: str, tint: tuple[float, ...]) -> None:

@@ -198,6 +198,7 @@ def test_gradients_by_a_medium_of_a_script() -> None:
     assert dr.grad(params[key])[0] == pytest.approx(-2.02 * np.exp(-0.5 * 2.02), rel=0.1)
 
 
+@pytest.mark.slow
 def test_colours_of_extinction() -> None:
     """A coloured grid: absorbed light keeps its colour."""
     data = np.ones((2, 2, 2, 3), np.float32) * np.array([0.5, 1, 2], np.float32)

@@ -52,6 +52,7 @@ def listed(x: Any) -> list[Any]:
 
 
 @pytest.mark.parametrize("name", ["default", "coloured", "not spectral"])
+@pytest.mark.sparse(2)
 def test_interface(name: str) -> None:
     mi = pytest.importorskip("mitsuba")
     mi.set_variant("llvm_ad_rgb")

@@ -78,7 +78,7 @@ CASES = [(medium, light, "volpath") for medium in MEDIA for light in LIGHTS]
 CASES += [("homogeneous", light, "volpathmis") for light in LIGHTS]
 
 
-@pytest.mark.sparse(4)
+@pytest.mark.sparse(8)
 @pytest.mark.parametrize(("medium", "light", "integrator"), CASES)
 def test_the_shadow_of_a_box(medium: str, light: str, integrator: str) -> None:
     scene = djpt.load_dict(floor_under(MEDIA[medium], LIGHTS[light], integrator))

@@ -30,6 +30,7 @@ LAMP = {
 
 @pytest.mark.parametrize("bsdf", [NULL, GLASS], ids=["null", "glass"])
 @pytest.mark.parametrize("schedule", ["flat", "wave"])
+@pytest.mark.sparse(2)
 def test_furnace(bsdf: dict[str, Any], schedule: str) -> None:
     """What only scatters is invisible under a white sky."""
     image = ours(lit_ball(fog(3.0, 1.0), bsdf), spp=512, schedule=schedule)
@@ -38,6 +39,7 @@ def test_furnace(bsdf: dict[str, Any], schedule: str) -> None:
 
 
 @pytest.mark.parametrize("bsdf", [NULL, GLASS], ids=["null", "glass"])
+@pytest.mark.sparse(2)
 def test_coloured_furnace(bsdf: dict[str, Any]) -> None:
     image = ours(lit_ball(fog(colour(0.5, 2, 4), 1.0), bsdf, "volpathmis"), spp=2048)
     np.testing.assert_allclose(image.mean(axis=(0, 1)), 1, atol=4e-3)
@@ -79,7 +81,7 @@ def test_single_scattering_in_a_slab() -> None:
     ids=["grey", "coloured"],
 )
 @pytest.mark.parametrize("bsdf", [NULL, GLASS], ids=["null", "glass"])
-@pytest.mark.sparse(2)
+@pytest.mark.sparse(4)
 def test_same_seed(medium: dict[str, Any], bsdf: dict[str, Any]) -> None:
     """Without shadow rays through media, whose transmittance Mitsuba estimates, images are equal."""
     scene = lit_ball(medium, bsdf, max_depth=12, rr_depth=3, lamp=LAMP)

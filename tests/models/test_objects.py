@@ -150,6 +150,7 @@ def test_mitsuba_renders_what_was_written(tmp_path):
     assert np.array_equal(ours, np.array(djpt.render(again, spp=16, seed=3)))
 
 
+@pytest.mark.slow
 def test_compare_takes_models(tmp_path, monkeypatch):
     from click.testing import CliRunner
 

@@ -126,7 +126,7 @@ SCENES: dict[str, Callable[[], dict[str, Any]]] = {
 
 
 @pytest.mark.parametrize("name", SCENES)
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(9)
 def test_a_closed_shutter_sees_the_still_scene(name: str) -> None:
     """The same samples find the same, whether rays are carried to what moves, or what moves is placed."""
     scene = djpt.load_dict(SCENES[name]())
@@ -182,6 +182,7 @@ def test_keyframes_are_edited_without_a_new_kernel() -> None:
     assert np.allclose(edit(0.5), np.array(djpt.render(djpt.load_dict(fresh), spp=2)), atol=1e-5)
 
 
+@pytest.mark.slow
 def test_integrators_without_time_render_slices() -> None:
     """Paths from both ends keep no time: they see the same as a path from the camera."""
     scene = djpt.load_dict(lamps())

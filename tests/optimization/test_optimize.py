@@ -70,6 +70,7 @@ def test_an_albedo_is_found(loss: str) -> None:
     assert np.allclose(np.array(djpt.traverse(scene)[KEY]), np.array(found.values[KEY]))
 
 
+@pytest.mark.slow
 def test_a_sigmoid_keeps_bounds() -> None:
     scene = floor()
     targets = pictures(scene)
@@ -117,6 +118,7 @@ def test_a_texture_is_found_from_coarse_to_fine() -> None:
     assert np.abs(found.average[key] - truth).mean() < 0.06
 
 
+@pytest.mark.slow
 def test_a_search_goes_on_from_its_checkpoint(tmp_path: Path) -> None:
     targets = pictures(floor(), 64)
     options: dict[str, Any] = {"iterations": 20, "spp": 4, "seed": 3}

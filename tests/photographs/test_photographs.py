@@ -168,7 +168,7 @@ KINDS: dict[str, tuple[dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.sparse(2)
+@pytest.mark.sparse(4)
 def test_damaged_files_are_read_or_refused(tmp_path, kind):
     """Cut, or with some bytes changed: an error names the file, and nothing else is raised."""
     if kind == "opencv":

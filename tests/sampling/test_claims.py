@@ -66,7 +66,7 @@ def test_every_warp_has_a_density() -> None:
         assert {len(a) for a in WARP_ARGUMENTS.get(name, [()])} == {parameters}, f"add {name} to WARP_ARGUMENTS"
 
 
-@pytest.mark.sparse(6)
+@pytest.mark.sparse(12)
 @pytest.mark.parametrize(("name", "arguments"), WARP_CASES)
 def test_warp_follows_its_density(name: str, arguments: tuple[Any, ...]) -> None:
     values, density = warped(name, arguments, Point2f(*uniform(COUNT)))
@@ -76,6 +76,7 @@ def test_warp_follows_its_density(name: str, arguments: tuple[Any, ...]) -> None
 
 
 @pytest.mark.parametrize(("name", "arguments"), WARP_CASES)
+@pytest.mark.sparse(3)
 def test_density_is_the_inverse_jacobian(name: str, arguments: tuple[Any, ...]) -> None:
     """1 / pdf = the area that a unit of the square is stretched to, by forward differentiation."""
     u, v = uniform(4096, seed=1)
@@ -121,7 +122,7 @@ def with_area() -> list[Any]:
     return [p for p in examples("shape") if registry.lookup("shape", p.values[0]).has_area]
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(6)
 @pytest.mark.parametrize(("name", "description"), with_area())
 def test_positions_lie_on_the_surface(name: str, description: dict[str, Any]) -> None:
     """Sampled points are found again by a ray straight onto them, with the same normal and uv."""

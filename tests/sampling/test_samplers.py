@@ -78,7 +78,7 @@ def singles(description: dict[str, Any], count: int, grid: int = 1, draws: int =
 # ---------------------------------------------------------------- Mitsuba
 
 
-@pytest.mark.sparse(15)
+@pytest.mark.sparse(30)
 @pytest.mark.parametrize("spp", [1, 3, 10, 17, 100])
 @every(*MITSUBAS)
 def test_numbers_are_mitsubas(description: dict[str, Any], spp: int) -> None:
@@ -272,6 +272,7 @@ def test_blue_noise_pixels_complete_each_other() -> None:
         ("ldsampler", 64, [(8, 8), (64, 1), (1, 64), (4, 16)]),
     ],
 )
+@pytest.mark.sparse(2)
 def test_mitsubas_sets_are_stratified(name: str, count: int, grids: list[tuple[int, int]]) -> None:
     description = {"type": name}
     points = pairs(description, count, 4, draws=3)
@@ -302,7 +303,7 @@ def test_new_seeds_and_counts_compile_nothing(description: dict[str, Any]) -> No
         assert all(k["cache_hit"] for k in dr.kernel_history() if k["type"] == dr.KernelType.JIT)
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(9)
 @pytest.mark.parametrize("schedule", ["flat", "wave"])
 @every()
 def test_passes_do_not_change_a_bit(description: dict[str, Any], schedule: str) -> None:

@@ -397,6 +397,7 @@ PARTS: dict[str, tuple[Callable[[djpt.Scene], Any], str, str, Any]] = {
 
 
 @pytest.mark.parametrize("name", PARTS)
+@pytest.mark.sparse(2)
 def test_scenes_follow_edits_of_their_parts(name: str) -> None:
     part, short, long, value = PARTS[name]
     box = djpt.cornell_box()

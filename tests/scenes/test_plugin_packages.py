@@ -179,6 +179,7 @@ def test_classes_of_a_package_are_what_scenes_are_made_of(package: Any) -> None:
     assert type(scene.shapes()[0].bsdf().pigment) is package.Halves
 
 
+@pytest.mark.slow
 def test_names_and_kinds_of_plugins_are_known_without_imports() -> None:
     code = """
 import sys
@@ -199,6 +200,7 @@ def test_plugins_of_mitsuba_that_are_missing_have_a_reason() -> None:
     assert theirs - set(registry.names()) == set(LACKING)
 
 
+@pytest.mark.slow
 def test_no_plugin_of_djpt_is_forgotten_by_its_package() -> None:
     """A file that registers plugins has its line in the `__init__`."""
     code = """

@@ -155,6 +155,7 @@ def test_each_rewriting_gives_the_same_bits(name: str, loader: str, image: np.nd
 @settings(max_examples=25, deadline=None, derandomize=True)
 @example(names=["lights by reference, last", "what is dark last"], loader="files")
 @given(names=st.lists(st.sampled_from(sorted(REWRITINGS)), min_size=2, max_size=4), loader=st.sampled_from([*LOADERS]))
+@pytest.mark.slow
 def test_rewritings_of_rewritings_do(names: list[str], loader: str) -> None:
     scene = room()
     for name in names:

@@ -47,7 +47,7 @@ def image(rfilter: dict, name: str, **film: object) -> np.ndarray:
         return np.array(djpt.render(scene(rfilter, **film), spp=7, seed=3))
 
 
-@pytest.mark.sparse(2)
+@pytest.mark.sparse(4)
 @by_calls
 @pytest.mark.parametrize("rfilter", FILTERS, ids=lambda f: "-".join(str(v) for v in f.values()))
 def test_same_bits_as_registers(rfilter):
@@ -56,6 +56,7 @@ def test_same_bits_as_registers(rfilter):
 
 @by_calls
 @pytest.mark.parametrize("pixel_format", ["luminance", "rgba"])
+@pytest.mark.sparse(2)
 def test_same_bits_for_all_channels(pixel_format):
     a, b = (image(FILTERS[0], name, pixel_format=pixel_format) for name in ("auto", "steps"))
     np.testing.assert_array_equal(a, b)

@@ -69,7 +69,7 @@ SCENES: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.sparse(4)
+@pytest.mark.sparse(8)
 @unmasking
 @pytest.mark.parametrize("film", SCENES)
 @pytest.mark.parametrize("sampler", ["independent", "multijitter"])

@@ -51,7 +51,7 @@ whole = Renderer()
 @settings(max_examples=12, deadline=None)
 @given(pass_spp=st.integers(1, SPP + 3), count=st.sampled_from([1, 2]))
 @pytest.mark.parametrize(("schedule", "rfilter"), KINDS)
-@pytest.mark.sparse(2)
+@pytest.mark.sparse(4)
 def test_passes_and_threads(schedule: str, rfilter: str, pass_spp: int, count: int) -> None:
     scene, image = whole(schedule, rfilter)
     with threads(count):
@@ -74,7 +74,7 @@ def test_large_images_in_bands() -> None:
             np.testing.assert_array_equal(pixels(djpt.render(scene, spp=5, pass_spp=pass_spp)), image)
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(6)
 @pytest.mark.parametrize("rows", [1, 5])
 @pytest.mark.parametrize(("schedule", "rfilter"), [*KINDS, ("flat", "lanczos")])
 def test_bands_do_not_matter(schedule: str, rfilter: str, rows: int, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -172,7 +172,7 @@ WATCHED: dict[str, Callable[[], Watched]] = {
 
 
 @pytest.mark.parametrize("name", WATCHED)
-@pytest.mark.sparse(4)
+@pytest.mark.sparse(8)
 def test_edits_compile_nothing(name: str) -> None:
     watched = WATCHED[name]()
     if name.startswith("prb"):
@@ -248,6 +248,7 @@ ENDS_ALIGNMENT = {
 
 
 @pytest.mark.parametrize("name", ENDS_ALIGNMENT)
+@pytest.mark.sparse(2)
 def test_ending_an_alignment_compiles_once(name: str) -> None:
     """A face that leaves a shared axis gets one of its own; then it may turn and return freely."""
     shape, first, then = ENDS_ALIGNMENT[name]

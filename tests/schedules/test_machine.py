@@ -62,7 +62,7 @@ KINDS: dict[str, dict[str, Any]] = {
 SLOW = ("gaussian", "odd, box", "crop", "one bounce", "lamp", "point")
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(6)
 @pytest.mark.parametrize("kind", [pytest.param(k, marks=pytest.mark.slow if k in SLOW else ()) for k in KINDS])
 def test_schedules_agree(folder: Path, kind: str) -> None:
     scene = djpt.load_dict(gallery(folder, **KINDS[kind]))
@@ -73,7 +73,7 @@ def test_schedules_agree(folder: Path, kind: str) -> None:
     close(machine, wave, share)
 
 
-@pytest.mark.sparse(6)
+@pytest.mark.sparse(12)
 @pytest.mark.parametrize("size", [(1, 1), (3, 2), (1, 19), (37, 21)])
 @pytest.mark.parametrize("rfilter", ["box", "gaussian"])
 def test_sizes_and_sample_counts(folder: Path, size: tuple[int, int], rfilter: str) -> None:
@@ -118,7 +118,7 @@ def test_nothing_in_sight(folder: Path) -> None:
 # ---------------------------------------------------------------- against Mitsuba
 
 
-@pytest.mark.sparse(8)
+@pytest.mark.sparse(16)
 @pytest.mark.parametrize("spp", [1, 3, 33])
 @pytest.mark.parametrize("kind", ["box", "odd, gaussian", "crop, gaussian, border"])
 def test_pixels_of_mitsuba(folder: Path, kind: str, spp: int) -> None:

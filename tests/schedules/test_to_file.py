@@ -39,7 +39,7 @@ def small_bands(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(passes, "STORED_PIXELS", (75, 100))
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(9)
 @pytest.mark.usefixtures("small_bands")
 @pytest.mark.parametrize("keep_partial", [False, True])
 @pytest.mark.parametrize("border", [False, True])

@@ -31,7 +31,7 @@ def scene(m: Any, name: str) -> Any:
     return djpt.load_dict(description) if m is djpt else m.load_dict(djpt.validation.to_mitsuba(description))
 
 
-@pytest.mark.sparse(6)
+@pytest.mark.sparse(12)
 @pytest.mark.parametrize("preliminary", [False, True])
 @pytest.mark.parametrize("name", SHAPES)
 def test_a_hit_moves_with_its_ray(name: str, preliminary: bool, mi: Any) -> None:

@@ -240,7 +240,7 @@ FILTERS: list[dict[str, Any] | None] = [
 ]
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(12)
 @pytest.mark.parametrize(
     ("description", "kind"),
     [*((description, "Float32") for description in FILTERS), (None, "Float64"), (None, "Float16")],

@@ -44,6 +44,7 @@ COUNT = 64
 
 
 @pytest.mark.parametrize("name", CASES)
+@pytest.mark.sparse(4)
 def test_flags_and_counts_are_mitsubas(mi: Any, name: str) -> None:
     mine, his = (module.load_dict(CASES[name]) for module in (djpt, mi))
     assert mine.component_count() == his.component_count()
@@ -87,7 +88,7 @@ def contexts(module: Any, count: int) -> list[Any]:
     return [make(mode, int(mask), None) for mask in masks] + [make(mode, int(flags.All), i) for i in range(count)]
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(6)
 @pytest.mark.parametrize("name", sorted(set(CASES) - SINGLE - {"mask", "bumps", "twosided", "two sides"}))
 def test_single_lobes_are_mitsubas(mi: Any, name: str) -> None:
     """Left out is what Mitsuba 3.9.1 answers otherwise.
@@ -102,7 +103,7 @@ def test_single_lobes_are_mitsubas(mi: Any, name: str) -> None:
             np.testing.assert_allclose(a, b, rtol=2e-3, atol=2e-4, err_msg=f"{own}")
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(6)
 @pytest.mark.parametrize("name", sorted(set(CASES) - SINGLE))
 def test_lobes_add_up(name: str) -> None:
     bsdf = djpt.load_dict(CASES[name])

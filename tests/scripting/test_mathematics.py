@@ -61,7 +61,7 @@ CALLS: list[Callable[[Any], Any]] = [
 ]
 
 
-@pytest.mark.sparse(18)
+@pytest.mark.sparse(36)
 @pytest.mark.parametrize("call", CALLS)
 def test_same_numbers(call: Callable[[Any], Any], mi: Any) -> None:
     same(call, mi)

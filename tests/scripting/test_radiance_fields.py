@@ -48,6 +48,7 @@ def image(mi: Any, scene: Any, **more: Any) -> np.ndarray:
 
 @pytest.mark.parametrize("shape", ["ellipsoids", "ellipsoidsmesh"])
 @pytest.mark.parametrize("settings", [{}, {"max_depth": 2, "srgb_primitives": False}], ids=["encoded", "two"])
+@pytest.mark.sparse(2)
 def test_images_are_mitsubas(mi: Any, shape: str, settings: dict[str, Any]) -> None:
     mine, his = image(djpt, field(djpt, shape, **settings)), image(mi, field(mi, shape, **settings))
     assert mine.mean() > 5e-3

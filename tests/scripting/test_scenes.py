@@ -184,7 +184,7 @@ SHAPE_QUESTIONS = [
 
 
 @pytest.mark.parametrize("name", SHAPES)
-@pytest.mark.sparse(2)
+@pytest.mark.sparse(4)
 def test_shapes_by_themselves(name: str, mi: Any) -> None:
     known = {
         "cube": (

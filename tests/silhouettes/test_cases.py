@@ -692,7 +692,7 @@ EACH = [
 
 
 @pytest.mark.parametrize(("name", "kind"), EACH)
-@pytest.mark.sparse(5)
+@pytest.mark.sparse(9)
 def test_derivatives_are_those_of_differences(name: str, kind: str) -> None:
     CASES[name].check(kind, name)
 

@@ -83,7 +83,7 @@ def test_samples_graze_the_shape(name: str, flags: int) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("creases", [False, True])
-@pytest.mark.sparse(4)
+@pytest.mark.sparse(12)
 def test_outlines_have_their_length(name: str, creases: bool) -> None:
     """The length of a part of the outline is the mean of 1 / pdf; what it looks at is seen from the viewpoint."""
     one, count = shape(name), 2001
@@ -108,7 +108,7 @@ def test_outlines_have_their_length(name: str, creases: bool) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.sparse(2)
+@pytest.mark.sparse(4)
 def test_outlines_seen_from_far_away(name: str) -> None:
     """They have the length that they have from a hundredth of the distance, and rounding doesn't destroy them."""
     one, count = shape(name), 2001

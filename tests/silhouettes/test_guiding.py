@@ -99,6 +99,7 @@ def test_cells_are_mitsubas() -> None:
     assert np.array(a).tolist() == np.array(b).tolist()
 
 
+@pytest.mark.slow
 def test_leaves_tile_the_cube() -> None:
     tree = learnt_octree(clamp_mass_thres=0.0)
     size = np.array(tree.upper) - np.array(tree.lower)

@@ -196,7 +196,7 @@ PROVEN: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.sparse(12)
+@pytest.mark.sparse(24)
 @pytest.mark.parametrize("name", PROVEN)
 def test_other_derivatives_are_not_refused(name: str) -> None:
     scene, theta = moved(room(**PROVEN[name]))

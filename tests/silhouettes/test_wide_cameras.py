@@ -120,6 +120,7 @@ def test_a_wider_image_circle_shows_more_of_a_white_sky() -> None:
 
 
 @pytest.mark.parametrize("kind", ["sphere", "cylinder", "paraboloid"])
+@pytest.mark.sparse(2)
 def test_an_eye_sees_outlines_from_many_places(kind: str) -> None:
     """Each line of sight from the place that sees the point is a tangent, and densities are those of the curve."""
     place = T().translate([0.5, 0.4, 2.5]).rotate([1, 0, 0], 60).scale(0.5)

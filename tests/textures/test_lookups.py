@@ -212,7 +212,7 @@ SCALARS = {
 
 
 @pytest.mark.parametrize("name", SCALARS)
-@pytest.mark.sparse(2)
+@pytest.mark.sparse(4)
 def test_materials_with_checkered_scalars_are_mitsubas(name: str) -> None:
     pytest.importorskip("mitsuba")
     checks = {"type": "checkerboard", "color0": 0.15, "color1": 0.7, "to_uv": T().scale(4)}

@@ -45,6 +45,7 @@ COLOR, HEAT = ({"type": "mesh_attribute", "name": name} for name in ("vertex_col
     [COLOR, {**HEAT, "scale": 0.7}, {"type": "checkerboard", "color0": COLOR, "color1": HEAT}],
     ids=["vertex", "face", "both"],
 )
+@pytest.mark.sparse(3)
 def test_attributes_of_meshes_are_mitsubas(painted: str, texture: dict[str, Any]) -> None:
     pytest.importorskip("mitsuba")
     scene = painted_room(painted, texture)

@@ -284,6 +284,7 @@ def test_overrides_leave_the_original_alone() -> None:
 
 
 @pytest.mark.parametrize("name", sorted(registered("integrator").keys() - {"aov", "moment"}))
+@pytest.mark.sparse(3)
 def test_any_integrator_takes_the_place_of_any_other(name: str) -> None:
     scene = override(djpt.cornell_box(), integrator={"type": "path", "max_depth": -1, "rr_depth": 3})
     scene = override(scene, integrator=name)

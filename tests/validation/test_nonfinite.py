@@ -91,6 +91,7 @@ def test_all_is_finite() -> None:
 
 
 @pytest.mark.parametrize("rfilter", ["box", "gaussian"])
+@pytest.mark.sparse(2)
 def test_a_value_in_the_image(rfilter: str) -> None:
     scene = room("value", rfilter)
     image = np.array(djpt.render(scene, spp=4))

@@ -86,6 +86,7 @@ def test_fireflies_raise_no_alarm(counts: tuple[int, int]) -> None:
     assert all(found <= 4 for found in alarms.values()), alarms  # 4 or more of 60 at 1 %: 0.3 %
 
 
+@pytest.mark.slow
 def test_filtered_noise_raises_no_alarm() -> None:
     """A wide filter correlates neighbours: the block test measures that instead of assuming independence."""
 

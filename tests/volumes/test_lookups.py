@@ -41,7 +41,7 @@ METHODS = {
 }
 
 
-@pytest.mark.sparse(4)
+@pytest.mark.sparse(8)
 @pytest.mark.parametrize("channels", METHODS)
 @pytest.mark.parametrize("filter_type", ["trilinear", "nearest"])
 @pytest.mark.parametrize("wrap_mode", ["clamp", "repeat", "mirror"])
