@@ -28,7 +28,7 @@ from djpt.geometry.bvh.calls.layout import (
 )
 from djpt.geometry.bvh.calls.packet_hits import Packet, PacketHits
 from djpt.geometry.bvh.calls.ray import ROW, Features, RayTerms, TriangleTest, overlap
-from djpt.geometry.bvh.calls.traversal import B1, B2, INSIDE, RECORD, STACK
+from djpt.geometry.bvh.calls.traversal import STACK
 from djpt.jit.llvm.arithmetic import abs, across_lanes, any_of, bit_count, fma, lowest_bit, maximum, minimum, select
 from djpt.jit.llvm.ir import F32, I8, I32, I64, LINE, Function, Loop, Type, Value
 
@@ -130,7 +130,7 @@ class PacketSearch:
         self.far = [x ^ ROW_BYTES for x in self.near]
         self.axes = [x.lane(first).to(I64) for x in terms.axes]
         self.beam = Beam(packet, self.near, radius)
-        self.hits = PacketHits(packet, [] if packet.any_hit else [B1, B2, RECORD, INSIDE])
+        self.hits = PacketHits(packet)
         self.reach = f.variable(F32, across_lanes(self.hits.limit.value, maximum).lane(0))
         """The largest of the limits."""
         self.references, self.distances = f.array(I32, STACK), f.array(packet.row, STACK)
@@ -236,14 +236,12 @@ class PacketSearch:
             if self.packet.features.lights or self.packet.features.one_sided:
                 triangles.again_if(~any_of(hit))
                 hit = hit & ~self.hits.passes(record)
+            self.hits.note(hit, t, weights, record.spread(self.packet.width))
             if self.packet.any_hit:
-                self.hits.note(hit, t, [])
                 search.stop_if(~any_of(self.hits.limit.value > 0.0))
             else:
                 # The kernel will read the record.
                 f.prefetch(self.packet.scene.at(record.to(I64) * ROW_BYTES))
-                b1, b2 = (weight.bits_as(self.packet.words) for weight in weights)
-                self.hits.note(hit, t, [b1, b2, record.spread(self.packet.width), f.constant(self.packet.words, 0)])
         self.reach.value = across_lanes(self.hits.limit.value, maximum).lane(0)
 
     def test(self, leaf: Value, slot: Value) -> TriangleTest:

@@ -7,9 +7,8 @@ both, so that one search for the nearest hit can take them together.
 part    words  contents
 ======  =====  =====================================================================================
 CORNER  3      a point, which is a corner of one triangle or of several
-FACE    9      the numbers of the corners of its first triangle and of its second, which is the first
-               again if there is one alone; the numbers of both, counted from the first record; all
-               bits set if the face belongs to a light
+FACE    8      the numbers of the corners of its first triangle and of its second, which is the first
+               again if there is one alone; the numbers of both, counted from the first record
 ======  =====  =====================================================================================
 """
 
@@ -21,11 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.geometry.bvh.calls.layout import ROW_WORDS
-from djpt.geometry.bvh.steps.records import EMITS
 
 __all__ = ["CORNER_BYTES", "FACE_BYTES", "FEW", "MOST_CORNERS", "Faces"]
 
-CORNER, FACE = 3, 9
+CORNER, FACE = 3, 8
 CORNER_BYTES, FACE_BYTES = 4 * CORNER, 4 * FACE
 
 FEW = 24
@@ -66,15 +64,12 @@ class Faces:
         if len(triangles) > 2 * FEW:
             return None
         corners, numbers = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
-        pairs = joined(triangles.astype(np.float64), numbers.reshape(-1, 3), labels, diagonal)
+        numbers = numbers.reshape(-1, 3)
+        pairs = joined(triangles.astype(np.float64), numbers, labels, diagonal)
         if len(pairs) > FEW or len(corners) > MOST_CORNERS:
             return None
         first, second = np.array(pairs).T
-        emits = np.where(labels[first] & EMITS, ~np.uint32(0), np.uint32(0))
-        numbers = numbers.reshape(-1, 3)
-        return Faces(
-            corners, np.column_stack([numbers[first], numbers[second], first, second, emits]).astype(np.uint32)
-        )
+        return Faces(corners, np.column_stack([numbers[first], numbers[second], first, second]).astype(np.uint32))
 
 
 def joined(

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from djpt.geometry.bvh.calls.layout import ANY_HIT
 from djpt.geometry.bvh.calls.ray import Features
-from djpt.geometry.bvh.calls.traversal import BLOCKED, FIELDS, lines_of
+from djpt.geometry.bvh.calls.traversal import B1, B2, BLOCKED, FIELDS, INSIDE, RECORD, lines_of
 from djpt.jit.llvm.arithmetic import select
 from djpt.jit.llvm.ir import F32, I1, I32, Function, Type, Value, vector
 
@@ -40,13 +40,13 @@ class Packet:
 class PacketHits:
     """What the search for a packet has found."""
 
-    def __init__(self, packet: Packet, fields: Sequence[int]) -> None:
-        """`fields` are the arrays of the packet, whole numbers, that a hit writes beside its distance."""
+    def __init__(self, packet: Packet) -> None:
         f = self.f = packet.f
         self.packet = packet
         self.maxt = f.variable(packet.row, packet.array("maxt"))
         self.limit = f.variable(packet.row, select(packet.active, self.maxt.value, float("-inf")))
         """Where each ray ends, or its closest hit; negative where no hit is wanted any more."""
+        fields = [] if packet.any_hit else [B1, B2, RECORD]
         self._found = {field: f.variable(packet.words, packet.array(field, packet.words)) for field in fields}
         self._flags = packet.array("flags", packet.words)
 
@@ -60,11 +60,12 @@ class PacketHits:
             passes = passes | packet.features.behind(f, packet.scene, record, packet.d)
         return passes
 
-    def note(self, hit: Value, t: Value, found: Sequence[Value]) -> None:
-        """Note the closest hits of some rays so far, at the distances `t`, and what is `found` there."""
+    def note(self, hit: Value, t: Value, weights: Sequence[Value], record: Value) -> None:
+        """Note the closest hits of some rays so far: their distances `t`, the weights of corners, and the records."""
         if self.packet.any_hit:
             self.limit.value = select(hit, float("-inf"), self.limit.value)
             return
+        found = [*(weight.bits_as(self.packet.words) for weight in weights), record]
         for variable, value in zip(self._found.values(), found, strict=True):
             variable.value = select(hit, value, variable.value)
         self.maxt.value = select(hit, t, self.maxt.value)
@@ -78,6 +79,8 @@ class PacketHits:
             blocked = packet.active & (self.limit.value < 0.0)
             packet.write("maxt", select(blocked, BLOCKED, self.maxt.value))
             return
+        closer = self.maxt.value < packet.array("maxt")
+        packet.write(INSIDE, select(closer, 0, packet.array(INSIDE, packet.words)))
         packet.write("maxt", self.maxt.value)
         for field, found in self._found.items():
             packet.write(field, found.value)

@@ -12,17 +12,17 @@ from __future__ import annotations
 
 from djpt.geometry.bvh.calls.coherent import CoherentSearch
 from djpt.geometry.bvh.calls.faces import CORNER_BYTES, FACE_BYTES, MOST_CORNERS
-from djpt.geometry.bvh.calls.layout import FACES_WORD, PASSES_LIGHTS, ROW_BYTES
+from djpt.geometry.bvh.calls.layout import FACES_WORD, ROW_BYTES
 from djpt.geometry.bvh.calls.packet_hits import Packet, PacketHits
 from djpt.geometry.bvh.calls.ray import AxisOrder, Features, RayTerms, TriangleTest, Triple, sheared
-from djpt.geometry.bvh.calls.traversal import ANY, B1, B2, INSIDE, PACKET, RECORD, name_of
+from djpt.geometry.bvh.calls.traversal import ANY, PACKET, name_of
 from djpt.jit.llvm.arithmetic import select
 from djpt.jit.llvm.ir import F32, I32, I64, Module, Value
 
 __all__ = ["sweep_function"]
 
-SECOND_AT, RECORDS_AT, EMITS_AT = 12, 24, 32
-"""The bytes of a face to the corners of its second triangle, the numbers of both, and its last word."""
+SECOND_AT, RECORDS_AT = 12, 24
+"""The bytes of a face to the corners of its second triangle, and to the numbers of both."""
 
 
 def sweep_function(kind: str, width: int, features: Features) -> str:
@@ -55,8 +55,7 @@ class Sweep(Packet):
             away = [f.load(F32, corner.at(4 * axis)).spread(self.width) - self.o[axis] for axis in range(3)]
             for axis, number in enumerate(sheared(order.apply(away), terms.shear)):
                 frames[k * 3 + axis] = number
-        hits = PacketHits(self, [] if self.any_hit else [B1, B2, RECORD])
-        through = self.array("flags", self.words) & PASSES_LIGHTS
+        hits = PacketHits(self)
 
         def test(address: Value) -> TriangleTest:
             numbers = [f.load(I32, address.at(4 * corner)).to(I64) * 3 for corner in range(3)]
@@ -71,15 +70,8 @@ class Sweep(Packet):
             # No branch: whether any ray hits can't be predicted.
             hit = (first.inside | second.inside) & (t > 0.0) & (t < hits.limit.value)
             records = [f.load(I32, face.at(RECORDS_AT + 4 * k)) + first_record for k in range(2)]
-            if self.features.lights:
-                emits = f.load(I32, face.at(EMITS_AT)).spread(self.width)
-                hit = hit & ((emits & through) == 0)
-            if self.features.one_sided:
-                # Both triangles have the same normal.
-                hit = hit & ~self.features.behind(f, self.scene, records[0], self.d)
+            # Both triangles are of one mesh, and have the same normal.
+            hit = hit & ~hits.passes(records[0])
             record = select(first.inside, *(number.spread(self.width) for number in records))
-            hits.note(hit, t, [*(weight.bits_as(self.words) for weight in weights), record])
-        if not self.any_hit:
-            closer = hits.maxt.value < self.array("maxt")
-            self.write(INSIDE, select(closer, 0, self.array(INSIDE, self.words)))
+            hits.note(hit, t, weights, record)
         hits.write()

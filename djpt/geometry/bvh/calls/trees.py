@@ -427,7 +427,7 @@ class CompiledTrees:
     def _faces(self) -> Faces | None:
         """The faces of the world's triangles by their records, if all rays are to be tested against each."""
         tree = self._trees[0]
-        # An edit that makes faces too small must not compile anew each time it is taken back.
+        # An edit that bends faces, so that they are too many, must not compile anew each time it is taken back.
         self._sweeps &= len(self._trees) == 1 and len(tree.corners) <= 2 * FEW
         if not self._sweeps:
             return None
