@@ -1,0 +1,668 @@
+"""What moves, and in which scene: cases of shapes, lights and cameras whose derivatives central differences check."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import drjit as dr
+import numpy as np
+import pytest
+
+import djpt
+from djpt.core.transforms import ScalarTransform4f as T
+from djpt.jit.types import Float, Point3f, TensorXf, UInt32
+from tests.silhouettes.test_projective import octahedron
+
+SIZE = 16
+COLUMN = np.linspace(-1, 1, SIZE, dtype=np.float32)
+WEIGHTS = np.broadcast_to(np.sin(2 * COLUMN[None, :, None] + 1) + 0.5 * COLUMN[:, None, None], (SIZE, SIZE, 3)).copy()
+"""The derivative of a loss by the pixels."""
+
+Move = Callable[[Any, Float], None]
+
+
+def shift(key: str, x: float = 1.0, y: float = 0.3, z: float = 0.0) -> Move:
+    """Move by theta along a direction."""
+
+    def move(params: Any, theta: Float) -> None:
+        params[key] = djpt.Transform4f().translate([x * theta, y * theta, z * theta]) @ djpt.Transform4f(params[key])
+
+    return move
+
+
+def turn(key: str, degrees: float) -> Move:
+    """Turn about the y axis of the world."""
+
+    def move(params: Any, theta: Float) -> None:
+        params[key] = djpt.Transform4f().rotate([0, 1, 0], degrees * theta) @ djpt.Transform4f(params[key])
+
+    return move
+
+
+def slide(params: Any, theta: Float) -> None:
+    """Move the vertices of a mesh."""
+    positions = Float(params["moving.vertex_positions"])
+    x, y = (dr.arange(UInt32, dr.width(positions)) % 3 == axis for axis in (0, 1))
+    params["moving.vertex_positions"] = positions + dr.select(x, theta, dr.select(y, 0.3 * theta, 0))
+
+
+def sensor(origin: tuple[float, float, float] = (0, 0, 6), fov: float = 40, **more: Any) -> dict[str, Any]:
+    """A camera above the origin, which looks down; or from elsewhere, towards the origin."""
+    film = {"type": "hdrfilm", "width": SIZE, "height": SIZE, "rfilter": {"type": "box"}, "pixel_format": "rgb"}
+    place = T().look_at(list(origin), [0, 0, 0], [0, 1, 0])
+    return {"type": "perspective", "fov": fov, "to_world": place, "film": film, **more}
+
+
+def sky() -> dict[str, Any]:
+    """A smooth environment."""
+    row, column = np.arange(16)[:, None, None], np.arange(32)[None, :, None]
+    radiance = 0.3 + np.abs(np.sin(0.3 * row + column * (np.pi / 16))) * np.ones((1, 1, 3))
+    return {"type": "envmap", "bitmap": djpt.Bitmap(radiance.astype(np.float32))}
+
+
+SPOTS = {
+    "type": "bitmap",
+    "data": TensorXf(0.2 + 0.8 * np.random.default_rng(0).random((5, 5, 3), np.float32)),
+    "raw": True,
+}
+FLOOR = {"type": "rectangle", "to_world": T().scale(4)}
+LAMP = {"type": "sphere", "center": [3, 3, 6], "radius": 0.5, "emitter": {"type": "area", "radiance": 60.0}}
+
+
+@dataclass(frozen=True)
+class Case:
+    """A scene, what moves in it, and how it is rendered."""
+
+    nodes: Callable[[], dict[str, Any]]
+    move: Move
+    kinds: tuple[str, ...] = ("direct_projective", "prb_projective")
+    depth: int = 2
+    step: float = 0.05
+    spp: int = 256
+    spp_difference: int = 4096
+    settings: dict[str, Any] = field(default_factory=dict)
+    thorough: bool = False
+    """Whether the guide has much effort: with little, rare samples of great weight are missed, or prevail."""
+
+    def scene(self, theta: Float) -> Any:
+        """The scene, moved."""
+        scene = djpt.load_dict({"type": "scene", "sensor": sensor()} | self.nodes())
+        params = djpt.traverse(scene)
+        self.move(params, theta)
+        params.update()
+        return scene
+
+    def difference(self) -> tuple[float, float]:
+        """The change of the loss with theta by central differences, and its standard error."""
+        hidden = {key: value for key, value in self.settings.items() if key == "hide_emitters"}
+        path = djpt.load_dict({"type": "path", "max_depth": self.depth, **hidden})
+        found = []
+        for seed in range(3):
+            ahead, back = (
+                np.array(djpt.render(self.scene(Float(x)), integrator=path, spp=self.spp_difference, seed=seed))
+                for x in (self.step, -self.step)
+            )
+            found.append(float((WEIGHTS * (ahead - back)).sum() / (2 * self.step)))
+        return float(np.mean(found)), float(np.std(found, ddof=1) / np.sqrt(3))
+
+    def integrator(self, kind: str) -> Any:
+        """The integrator, with little effort for its guide unless `thorough`."""
+        found = djpt.load_dict({"type": kind, "max_depth": self.depth, **self.settings})
+        if not self.thorough:
+            found.proj_seed_spp, found.octree_extra_leaf_sample, found.octree_max_depth = 64, 32, 7
+        else:
+            found.proj_seed_spp, found.octree_extra_leaf_sample, found.octree_max_depth = 256, 128, 9
+        return found
+
+    def forward(self, kind: str, seed: int) -> float:
+        """The change of the loss in forward mode."""
+        theta = Float(0)
+        dr.enable_grad(theta)
+        scene = self.scene(theta)
+        dr.forward(theta, dr.ADFlag.ClearEdges)
+        change = np.array(self.integrator(kind).render_forward(scene, None, spp=self.spp, seed=seed))
+        return float((WEIGHTS * change).sum())
+
+    def reverse(self, kind: str, seed: int) -> float:
+        """The derivative of the loss in reverse mode."""
+        theta = Float(0)
+        dr.enable_grad(theta)
+        scene = self.scene(theta)
+        self.integrator(kind).render_backward(scene, None, TensorXf(WEIGHTS), spp=self.spp, seed=seed)
+        return float(dr.grad(theta)[0])
+
+    def check(self, kind: str, name: str) -> None:
+        """Assert that derivatives are those of differences, within 4 standard errors or 3 per cent, in both modes.
+
+        The error of four estimates is itself an estimate, and too small now and then: sixteen decide where four are
+        off.
+        """
+        expected, noise = self.difference()
+        found: list[float] = []
+        for seeds in (range(11, 15), range(15, 27)):
+            found += [self.forward(kind, seed) for seed in seeds]
+            error = float(np.hypot(np.std(found, ddof=1) / np.sqrt(len(found)), noise))
+            print(f"{name}, {kind}: {np.mean(found):.4f} +- {error:.4f}, expected {expected:.4f}")
+            right = abs(np.mean(found) - expected) < max(4 * error, 0.03 * abs(expected))
+            if right and error < max(0.3 * abs(expected), 0.3):
+                break
+        assert right
+        assert error < max(0.3 * abs(expected), 0.3)
+        # Of sums that cancel, rounding is relative to what they vary by.
+        assert self.reverse(kind, 14) == pytest.approx(found[3], rel=1e-4, abs=1e-4 * float(np.std(found, ddof=1)))
+
+
+def ball(bsdf: Any = None, **more: Any) -> dict[str, Any]:
+    """A sphere."""
+    return {"type": "sphere", **({} if bsdf is None else {"bsdf": bsdf}), **more}
+
+
+def plate(bsdf: Any) -> dict[str, Any]:
+    """A large rectangle, which fills the picture."""
+    return {"type": "rectangle", "to_world": T().scale(4), "bsdf": bsdf}
+
+
+INTERIOR = {"sppp": 0, "sppi": 0}
+PRB = ("prb_projective",)
+CASES: dict[str, Case] = {
+    "rough glass": Case(
+        lambda: {"moving": ball({"type": "roughdielectric", "alpha": 0.3}), "sky": sky()},
+        shift("moving.to_world"),
+        PRB,
+        depth=5,
+        spp=2048,
+        settings={"sppi": 0},
+    ),
+    "a flat mirror": Case(
+        lambda: {"moving": plate({"type": "conductor"}), "sky": sky()}, turn("moving.to_world", 10), settings=INTERIOR
+    ),
+    "a flat plate of plastic": Case(
+        lambda: {"moving": plate({"type": "plastic"}), "sky": sky()}, turn("moving.to_world", 10), settings=INTERIOR
+    ),
+    "a ball of plastic": Case(
+        lambda: {"moving": ball({"type": "plastic"}), "sky": sky()},
+        shift("moving.to_world"),
+        spp=2048,
+        settings={"sppi": 0},
+    ),
+    "a ball of glass": Case(
+        lambda: {"moving": ball({"type": "dielectric"}), "sky": sky()},
+        shift("moving.to_world"),
+        PRB,
+        depth=8,
+        spp=4096,
+        settings={"sppi": 0},
+    ),
+    "a lamp with a texture": Case(
+        lambda: {
+            "moving": {
+                "type": "rectangle",
+                "to_world": T().translate([0, 0, 7]).rotate([1, 0, 0], 180).scale(2),
+                "emitter": {"type": "area", "radiance": SPOTS},
+            },
+            "floor": FLOOR,
+        },
+        shift("moving.to_world"),
+        step=0.1,
+    ),
+}
+BLOCKER = ball(center=[1, 1, 3], radius=0.4)
+POINT = {"type": "point", "position": [2, 2, 6], "intensity": 40.0}
+SUN = {"type": "directional", "direction": [-0.3, -0.3, -1.0], "irradiance": 2.0}
+ASIDE = sensor((-2, -1, 5))
+CASES |= {
+    "the shadow of a ball in the light of a point": Case(
+        lambda: {"moving": BLOCKER, "light": POINT, "floor": FLOOR, "sensor": ASIDE}, shift("moving.to_world")
+    ),
+    "the shadow of a ball in parallel light": Case(
+        lambda: {"moving": BLOCKER, "light": SUN, "floor": FLOOR, "sensor": ASIDE}, shift("moving.to_world", 1, 0, 1)
+    ),
+    "the shadow of a ball in the light of a spot": Case(
+        lambda: {
+            "moving": BLOCKER,
+            "light": {
+                "type": "spot",
+                "to_world": T().look_at([2, 2, 6], [0, 0, 0], [0, 1, 0]),
+                "intensity": 60.0,
+                "cutoff_angle": 30.0,
+            },
+            "floor": FLOOR,
+            "sensor": ASIDE,
+        },
+        shift("moving.to_world"),
+    ),
+    "a floor that rises under a shadow in the light of a point": Case(
+        lambda: {"blocker": BLOCKER, "light": POINT, "moving": FLOOR, "sensor": ASIDE},
+        shift("moving.to_world", 0, 0, 1),
+    ),
+    "a floor that rises under the shadow of a lamp": Case(
+        lambda: {"blocker": BLOCKER, "lamp": LAMP, "moving": FLOOR, "sensor": ASIDE},
+        shift("moving.to_world", 0, 0, 1),
+        thorough=True,
+    ),
+    "a shadow in indirect light": Case(
+        lambda: {
+            "moving": BLOCKER,
+            "light": POINT,
+            "floor": FLOOR,
+            "wall": {"type": "rectangle", "to_world": T().translate([-3, 0, 0]).rotate([0, 1, 0], 90).scale(4)},
+            "sensor": ASIDE,
+        },
+        shift("moving.to_world", 1, 0, 0),
+        PRB,
+        depth=4,
+        spp=1024,
+    ),
+}
+
+
+LIGHT = {"type": "point", "position": [0, 0, 6], "intensity": 40.0}
+GREY = {**FLOOR, "bsdf": {"type": "diffuse", "reflectance": 0.2}}
+DIPPED = ball({"type": "diffuse", "reflectance": 0.8}, center=[0, 0, -0.4])
+BOX = T().rotate([0.6, 0.8, 0], 35).scale([0.8, 0.6, 1.0])
+
+
+def corners(by: Callable[[Float], Any]) -> Move:
+    """Map the corners of a cube or a mesh."""
+
+    def move(params: Any, theta: Float) -> None:
+        p = dr.unravel(Point3f, Float(params["moving.vertex_positions"]))
+        params["moving.vertex_positions"] = Float(dr.ravel(by(theta).transform_point(p)))
+
+    return move
+
+
+aside = corners(lambda theta: djpt.Transform4f().translate([theta, 0.3 * theta, 0]))
+spin = corners(lambda theta: djpt.Transform4f().rotate([0, 1, 0], 20 * theta))
+HANGING = T().translate([1, 1, 3]).rotate([0.6, 0.8, 0], 35).scale(0.35)
+WALL = {"type": "rectangle", "to_world": T().translate([-3, 0, 0]).rotate([0, 1, 0], 90).scale(4)}
+
+
+def grow(params: Any, theta: Float) -> None:
+    """Move a corner of a cuboid."""
+    params["moving.max"] = Point3f(0.8 + theta, 0.6 + 0.5 * theta, 0.5 + theta)
+
+
+CASES |= {
+    "a cube in parallel light": Case(lambda: {"moving": {"type": "cube", "to_world": BOX}, "light": SUN}, spin),
+    "a cuboid grows": Case(
+        lambda: {
+            "moving": {
+                "type": "cuboid",
+                "min": [-0.8, -0.6, -0.5],
+                "max": [0.8, 0.6, 0.5],
+                "to_world": T().rotate([0.6, 0.8, 0], 35),
+            },
+            "sky": sky(),
+        },
+        grow,
+        spp=512,
+        thorough=True,
+    ),
+    "the shadow of a cube in the light of a lamp": Case(
+        lambda: {"moving": {"type": "cube", "to_world": HANGING}, "lamp": LAMP, "floor": FLOOR, "sensor": ASIDE},
+        aside,
+        spp=512,
+        thorough=True,
+    ),
+    "a floor that rises under the shadow of a cube": Case(
+        lambda: {"box": {"type": "cube", "to_world": HANGING}, "light": POINT, "moving": FLOOR, "sensor": ASIDE},
+        shift("moving.to_world", 0, 0, 1),
+    ),
+    "a cube in indirect light": Case(
+        lambda: {
+            "moving": {"type": "cube", "to_world": T().translate([0.5, 0.5, 1.2]).rotate([0.6, 0.8, 0], 35).scale(0.5)},
+            "light": POINT,
+            "floor": FLOOR,
+            "wall": WALL,
+            "sensor": sensor((-1, -1, 6)),
+        },
+        aside,
+        PRB,
+        depth=4,
+        spp=1024,
+        thorough=True,
+    ),
+    "flat facets in indirect light": Case(
+        lambda: {
+            "moving": octahedron((0.5, 0.5, 1.5), 0.8),
+            "light": POINT,
+            "floor": FLOOR,
+            "wall": WALL,
+            "sensor": sensor((-1, -1, 6)),
+        },
+        slide,
+        PRB,
+        depth=4,
+        spp=1024,
+        thorough=True,
+    ),
+    "a cone": Case(
+        lambda: {
+            "moving": {"type": "cone", "to_world": T().rotate([0.6, 0.8, 0], 70).scale([0.8, 0.8, 1.5])},
+            "light": {"type": "point", "position": [1, 2, 6], "intensity": 40.0},
+            "floor": GREY,
+        },
+        turn("moving.to_world", 20),
+        spp=512,
+    ),
+    "a paraboloid": Case(
+        lambda: {
+            "moving": {"type": "paraboloid", "to_world": T().translate([0, 0, 0.5]).rotate([0.6, 0.8, 0], 100)},
+            "sky": sky(),
+            "floor": {**GREY, "to_world": T().translate([0, 0, -2]).scale(4)},
+        },
+        turn("moving.to_world", 20),
+        spp=512,
+        thorough=True,
+    ),
+}
+
+
+def placed(name: str, place: Any) -> dict[str, Any]:
+    """An instance of a group of three shapes."""
+    group = {
+        "type": "shapegroup",
+        "mesh": octahedron((0.3, 0.1, 0), 0.5),
+        "ball": ball(center=[-0.5, 0, 0], radius=0.4),
+        "box": {"type": "cube", "to_world": T().translate([0.2, 0.9, 0]).scale(0.3)},
+    }
+    return {"group": group, name: {"type": "instance", "to_world": place, "of": {"type": "ref", "id": "group"}}}
+
+
+CASES |= {
+    "an instance": Case(
+        lambda: {**placed("moving", T().rotate([0.6, 0.8, 0], 30)), "light": SUN}, shift("moving.to_world"), spp=512
+    ),
+    "a floor that rises under the shadow of an instance": Case(
+        lambda: {
+            **placed("other", T().translate([1, 1, 3]).rotate([0.6, 0.8, 0], 30).scale(0.5)),
+            "light": POINT,
+            "moving": FLOOR,
+            "sensor": ASIDE,
+        },
+        shift("moving.to_world", 0, 0, 1),
+        spp=512,
+    ),
+    "a camera, turn: an instance": Case(
+        lambda: {**placed("other", T().rotate([0.6, 0.8, 0], 30)), "light": SUN},
+        lambda params, theta: turn_head(params, theta),
+        spp=512,
+    ),
+}
+CASES |= {
+    "a ball rises from a floor": Case(
+        lambda: {"moving": DIPPED, "floor": GREY, "light": LIGHT}, shift("moving.to_world", 0, 0, 1), spp=512
+    ),
+    "a floor rises about a ball": Case(
+        lambda: {"ball": DIPPED, "moving": GREY, "light": SUN}, shift("moving.to_world", 0, 0, 1), spp=1024
+    ),
+    "flat facets": Case(lambda: {"moving": octahedron((0.1, 0.2, 0), 1.2), "light": SUN}, slide, spp=512),
+    "half of a ball": Case(
+        lambda: {
+            "moving": ball({"type": "mask", "opacity": 0.5, "nested": {"type": "diffuse"}}),
+            "sky": {"type": "constant", "radiance": 0.3},
+        },
+        shift("moving.to_world"),
+        PRB,
+        depth=6,
+        spp=512,
+        settings={"sppi": 0},
+    ),
+    "a hidden lamp": Case(
+        lambda: {
+            "moving": ball(),
+            "near": {
+                "type": "sphere",
+                "center": [0.8, 0.3, 2.5],
+                "radius": 0.4,
+                "emitter": {"type": "area", "radiance": 5.0},
+            },
+            "sky": {"type": "constant", "radiance": 0.3},
+        },
+        shift("moving.to_world"),
+        spp=1024,
+        settings={"hide_emitters": True},
+        thorough=True,
+    ),
+}
+
+
+def edit(key: str, by: float) -> Move:
+    """Add to a number."""
+
+    def move(params: Any, theta: Float) -> None:
+        params[key] = Float(params[key]) + by * theta
+
+    return move
+
+
+def turn_head(params: Any, theta: Float) -> None:
+    """Turn the camera about an axis of its own."""
+    own = djpt.Transform4f().rotate([0.6, 0.8, 0], 20 * theta)
+    params["sensor.to_world"] = djpt.Transform4f(params["sensor.to_world"]) @ own
+
+
+GROUND = {
+    "type": "rectangle",
+    "to_world": T().translate([0, 0, -1.5]).scale(3),
+    "bsdf": {"type": "diffuse", "reflectance": SPOTS},
+}
+MOTIONS = {
+    "step aside": shift("sensor.to_world"),
+    "step back": shift("sensor.to_world", 0, 0, 1),
+    "turn": turn_head,
+    "field of view": edit("sensor.x_fov", 20),
+    "principal point": edit("sensor.principal_point_offset_x", 0.3),
+}
+for motion, move in MOTIONS.items():
+    CASES[f"a camera, {motion}: a globe"] = Case(
+        lambda: {"globe": ball(radius=0.9, emitter={"type": "area", "radiance": SPOTS})}, move, settings={"sppi": 0}
+    )
+    CASES[f"a camera, {motion}: a floor under a sky"] = Case(
+        lambda: {"floor": {**GROUND, "to_world": T().scale(9)}, "sky": {"type": "constant"}}, move, step=0.02
+    )
+    CASES[f"a camera, {motion}: the light of a point"] = Case(
+        lambda: {
+            "ball": ball({"type": "diffuse", "reflectance": SPOTS}, center=[0.5, 0.2, 0], radius=0.8),
+            "floor": GROUND,
+            "light": {"type": "point", "position": [1, 2, 6], "intensity": 40.0},
+        },
+        move,
+        spp=512,
+    )
+
+
+def parallel(params: Any, theta: Float) -> None:
+    """Turn a camera and move it aside."""
+    motion = djpt.Transform4f().rotate([0, 1, 0], 20 * theta) @ djpt.Transform4f().translate([0.5 * theta, 0, 0])
+    params["sensor.to_world"] = motion @ djpt.Transform4f(params["sensor.to_world"])
+
+
+ORTHOGRAPHIC = {
+    **sensor(),
+    "type": "orthographic",
+    "to_world": T().look_at([0, 0, 6], [0, 0, 0], [0, 1, 0]).scale([3, 3, 1]),
+}
+del ORTHOGRAPHIC["fov"]
+CASES |= {
+    f"parallel rays: {name}": Case(
+        lambda: {
+            "moving": ball({"type": "diffuse", "reflectance": SPOTS}, center=[0.5, 0.2, 0], radius=0.8),
+            "floor": GROUND,
+            "light": {"type": "point", "position": [1, 2, 6], "intensity": 40.0},
+            "sensor": ORTHOGRAPHIC,
+        },
+        move,
+        spp=512,
+    )
+    for name, move in (("a camera", parallel), ("a ball", shift("moving.to_world")))
+}
+
+
+def lens(scene: str) -> dict[str, Any]:
+    """Scenes for cameras with a lens: a globe, and a ball over a floor."""
+    camera = sensor(type="thinlens", aperture_radius=0.4, focus_distance=4.0)
+    if scene == "a globe":
+        return {"globe": ball(radius=0.9, emitter={"type": "area", "radiance": SPOTS}), "sensor": camera}
+    return {
+        "ball": ball({"type": "diffuse", "reflectance": SPOTS}, center=[0.5, 0.2, 1], radius=0.8),
+        "floor": GROUND,
+        "light": {"type": "point", "position": [1, 2, 6], "intensity": 40.0},
+        "sensor": camera,
+    }
+
+
+LENS_MOTIONS = {
+    "step aside": shift("sensor.to_world"),
+    "turn": turn_head,
+    "field of view": edit("sensor.x_fov", 20),
+    "aperture": edit("sensor.aperture_radius", 1),
+    "focus": edit("sensor.focus_distance", 3),
+}
+for motion, move in LENS_MOTIONS.items():
+    for where in ("a globe", "the light of a point"):
+        CASES[f"a lens, {motion}: {where}"] = Case(
+            lambda where=where: lens(where), move, spp=512, settings={"sppi": 0} if where == "a globe" else {}
+        )
+BLADES = {"aperture_blades": 5, "aperture_rotation": 15, "aperture_roundness": 0.3, "tilt": 35, "swing": -20}
+
+
+def view_camera(scene: str) -> dict[str, Any]:
+    """The scenes of `lens` through a lens with blades, tilted."""
+    nodes = lens(scene)
+    return {**nodes, "sensor": {**nodes["sensor"], **BLADES}}
+
+
+CASES |= {
+    f"a view camera, {name}: {where}": Case(
+        lambda where=where: view_camera(where), move, spp=512, settings={"sppi": 0} if where == "a globe" else {}
+    )
+    for name, where, move in (
+        ("step aside", "the light of a point", shift("sensor.to_world")),
+        ("tilt", "a globe", edit("sensor.tilt", 40)),
+        ("swing", "the light of a point", edit("sensor.swing", 40)),
+        ("shift", "a globe", edit("sensor.principal_point_offset_x", 0.3)),
+    )
+}
+CASES["a lens: a ball moves"] = Case(lambda: lens("a ball"), shift("ball.to_world"), spp=512)
+
+
+def circled(**nodes: Any) -> dict[str, Any]:
+    """What a fisheye sees whose film reaches past its image circle; outlines cross the edge of the circle."""
+    return {**nodes, "sensor": sensor(type="fisheye", image_circle=16.0, principal_point_offset_x=0.1)}
+
+
+SHINING = ball(center=[0.35, 0.2, 0], radius=0.7, emitter={"type": "area", "radiance": SPOTS})
+CASES |= {
+    f"an image circle, {name}: a globe": Case(
+        lambda: circled(globe=SHINING), move, step=0.01, spp=512, spp_difference=16384, settings={"sppi": 0}
+    )
+    for name, move in (("turn", turn_head), ("what is seen", shift("globe.to_world")))
+}
+BARREL = sensor(fov=60, k1=-0.9)
+CASES["a picture that folds, turn: the light of a point"] = Case(
+    lambda: {**lens("a ball"), "sensor": BARREL}, turn_head, spp=2048
+)
+
+
+def pair() -> dict[str, Any]:
+    """Two cameras side by side, of different kinds."""
+    film = {"type": "hdrfilm", "width": SIZE, "height": SIZE, "rfilter": {"type": "box"}, "pixel_format": "rgb"}
+    left = sensor((1, 0, 6), 40, film={"type": "hdrfilm", "width": SIZE // 2, "height": SIZE})
+    right = sensor((-2, 0, 5), 50, type="thinlens", aperture_radius=0.3, focus_distance=5.0)
+    return {"type": "batch", "left": left, "right": right, "film": film}
+
+
+def both(params: Any, theta: Float) -> None:
+    """Turn one camera and zoom with the other one."""
+    own = djpt.Transform4f().rotate([0.6, 0.8, 0], 20 * theta)
+    params["sensor.left.to_world"] = djpt.Transform4f(params["sensor.left.to_world"]) @ own
+    params["sensor.right.x_fov"] = Float(params["sensor.right.x_fov"]) + 20 * theta
+
+
+CASES |= {
+    f"two cameras: {name}": Case(lambda: {**lens("a ball"), "sensor": pair()}, move, spp=512)
+    for name, move in (("they move", both), ("a ball moves", shift("ball.to_world")))
+}
+
+
+def shine(x: float, y: float, z: float) -> Move:
+    """Move a point of light."""
+
+    def move(params: Any, theta: Float) -> None:
+        params["light.position"] = djpt.Point3f(params["light.position"]) + djpt.Vector3f(x, y, z) * theta
+
+    return move
+
+
+def swing(params: Any, theta: Float) -> None:
+    """Turn a light about its own place, and move it."""
+    own = djpt.Transform4f().rotate([0.8, -0.6, 0], 10 * theta)
+    there = djpt.Transform4f().translate([0.5 * theta, 0, 0.3 * theta])
+    params["light.to_world"] = there @ djpt.Transform4f(params["light.to_world"]) @ own
+
+
+SPOT = {
+    "type": "spot",
+    "to_world": T().look_at([2, 2, 6], [0, 0, 0], [0, 1, 0]),
+    "intensity": 60.0,
+    "cutoff_angle": 30.0,
+}
+CASES |= {
+    f"a light that moves: {name}": Case(
+        lambda light=light: {
+            "ball": ball({"type": "roughplastic", "alpha": 0.3}, center=[1, 1, 3], radius=0.4),
+            "board": {"type": "rectangle", "to_world": T().translate([-0.5, 0, 1]).rotate([1, 1, 0], 30).scale(0.7)},
+            "light": light,
+            "floor": {**FLOOR, "bsdf": {"type": "diffuse", "reflectance": SPOTS}},
+            "sensor": ASIDE,
+        },
+        move,
+        ("prb_projective",) if depth > 2 else Case.kinds,
+        depth=depth,
+        spp=512,
+    )
+    for name, light, move, depth in (
+        ("a point", POINT, shine(1, 0.3, 0.5), 2),
+        ("a point, seen indirectly", POINT, shine(1, 0.3, 0.5), 4),
+        ("a spot", SPOT, swing, 2),
+        ("the sun", {"type": "directional", "to_world": T().look_at([3, 3, 10], [0, 0, 0], [0, 1, 0])}, swing, 2),
+    )
+}
+BEAM = {
+    "type": "projector",
+    "to_world": T().look_at([2, 2, 6], [0.2, 0, 0], [0, 1, 0]),
+    "irradiance": SPOTS,
+    "scale": 20.0,
+    "fov": 20.0,
+}
+CASES |= {
+    f"the beam of a projector: {name}": Case(
+        lambda nodes=nodes: {
+            "board": {
+                "type": "rectangle",
+                "to_world": T().translate([-0.5, 0, 1]).rotate([0.6, 0.8, 0], 30).scale(0.7),
+            },
+            "light": BEAM,
+            "floor": FLOOR,
+            "sensor": ASIDE,
+            **nodes,
+        },
+        move,
+        PRB if depth > 2 else Case.kinds,
+        depth=depth,
+        step=0.01,
+        spp=512,
+        spp_difference=16384,
+    )
+    for name, move, depth, nodes in (
+        ("it moves", swing, 2, {}),
+        ("a floor rises", shift("floor.to_world", 0, 0, 1), 2, {}),
+        ("a board moves", shift("board.to_world", 1, 0, 0.5), 2, {}),
+        ("a camera moves", shift("sensor.to_world", 1, 0, 0), 2, {}),
+        ("it moves, seen indirectly", swing, 4, {"wall": WALL}),
+    )
+}
