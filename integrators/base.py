@@ -398,6 +398,11 @@ class PathIntegrator(Integrator):
         pi = scene.closest_hit(ray, through_lights=self.passes_lights(state))
         return scene.surface_interaction(ray, pi, scene.surface_detail)
 
+    def searches_pairs(self, scene: Scene) -> bool:
+        """Whether `trace` and `transmittance` may be one search, `SceneQueries.next_hit`."""
+        plain, own = PathIntegrator, type(self)
+        return scene.geometry.searches_pairs and own.trace is plain.trace and own.transmittance is plain.transmittance
+
     def advance(
         self, scene: Scene, sampler: SampleStream, state: PathState, ray: Ray3f, si: SurfaceInteraction3f
     ) -> Vertex:

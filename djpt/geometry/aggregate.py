@@ -20,7 +20,7 @@ from djpt.core.lookup import Numbers, is_one_of
 from djpt.core.records import RAY_EPSILON, PreliminaryIntersection3f, Ray3f
 from djpt.core.records.flags import SurfaceDetail
 from djpt.dispatch.ensemble import Ensemble, Lookup
-from djpt.geometry.query import ANALYTIC, FACE, NONE, Cursor, Near, Query, recentre
+from djpt.geometry.query import ANALYTIC, FACE, NONE, Cursor, Found, Hit, Near, Query, recentre
 from djpt.geometry.unrolled import Unrolled
 from djpt.jit.kernels import as_vector
 from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
@@ -38,6 +38,11 @@ __all__ = ["NO_INSTANCE", "Contents", "FaceNumbers", "Geometry", "MeasuredMedia"
 
 ROW = 32
 """Bytes of the smallest row of a tree that has a number."""
+
+
+def shortened(ray: Ray3f, t: Float) -> Ray3f:
+    """A ray that ends at a hit, if there is one."""
+    return Ray3f(ray.o, ray.d, maxt=dr.select(dr.isfinite(t), t, ray.maxt))
 
 
 class Geometry:
@@ -150,15 +155,42 @@ class Geometry:
 
     def closest(self, ray: Ray3f, through_lights: Bool | None = None) -> PreliminaryIntersection3f:
         """The first hit with 0 < t < maxt. Where `through_lights`, shapes that emit are ignored."""
+        if self.triangles is not None:
+            return self.intersection(self.first_hit(ray, through_lights))
         t, face = self.unrolled.closest(ray, self._emits, through_lights)
-        if self.triangles is None:
-            return PreliminaryIntersection3f.found(t, face, self.shape_of(face))
-        found = self.triangles.search(Ray3f(ray.o, ray.d, maxt=dr.select(dr.isfinite(t), t, ray.maxt)), through_lights)
+        return PreliminaryIntersection3f.found(t, face, self.shape_of(face))
+
+    def first_hit(self, ray: Ray3f, through_lights: Bool | None = None) -> Hit:
+        """The hit that `closest` finds, in scenes with triangles."""
+        assert self.triangles is not None
+        t, face = self.unrolled.closest(ray, self._emits, through_lights)
+        return self._nearer(t, face, self.triangles.search(shortened(ray, t), through_lights))
+
+    def _nearer(self, t: Float, face: UInt32, found: Found) -> Hit:
+        """The hit of an unrolled shape, or one in the tree that is nearer."""
         hit = found.record != NONE
         t, face = dr.select(hit, found.t, t), dr.select(hit, found.record + self.first_record, face)
         # The origin that the search has moved, even where a scene needs no move: nothing is computed twice.
-        near = Near(found.origin, found.near_t, found.entry, found.b, found.inside)
-        return PreliminaryIntersection3f.found(t, face, self.shape_of(face), near=near)
+        return Hit(t, face, Near(found.origin, found.near_t, found.entry, found.b, found.inside))
+
+    def intersection(self, hit: Hit) -> PreliminaryIntersection3f:
+        """A hit as queries give it."""
+        return PreliminaryIntersection3f.found(hit.t, hit.face, self.shape_of(hit.face), near=hit.near)
+
+    @property
+    def searches_pairs(self) -> bool:
+        """Whether there is `closest_and_blocked`."""
+        return self.triangles is not None and self.triangles.searches_pairs
+
+    def closest_and_blocked(
+        self, ray: Ray3f, to_light: Ray3f, followed: Bool, through_lights: Bool | None = None
+    ) -> tuple[Hit, Bool]:
+        """`closest` for `ray`, and `blocked` for the segment `to_light` where it is `followed`, by one search."""
+        assert self.triangles is not None
+        t, face = self.unrolled.closest(ray, self._emits, through_lights)
+        hidden = self.unrolled.blocked(to_light)
+        found, blocked = self.triangles.search_pairs(shortened(ray, t), to_light, ~hidden & followed, through_lights)
+        return self._nearer(t, face, found), hidden | blocked
 
     def any_hit(self, ray: Ray3f, active: Bool | bool = True) -> Bool:
         """Whether anything is hit with 0 < t < maxt."""

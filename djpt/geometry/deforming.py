@@ -123,6 +123,10 @@ class DeformingGeometry(Geometry):
 
     # ---- ray queries -------------------------------------------------------------------
 
+    @property
+    def searches_pairs(self) -> bool:
+        return False
+
     def closest(self, ray: Ray3f, through_lights: Bool | None = None) -> PreliminaryIntersection3f:
         found = self._search(ray, False, True)
         hit = found.face != NO_FACE

@@ -210,6 +210,10 @@ class MovingGeometry(Geometry):
 
     # ---- ray queries ---------------------------------------------------------------------
 
+    @property
+    def searches_pairs(self) -> bool:
+        return False
+
     def closest(self, ray: Ray3f, through_lights: Bool | None = None) -> PreliminaryIntersection3f:
         still = self.parts[0].geometry.closest(ray, through_lights)
         t, face, shape, near = still.t, still.face, self._own_shapes[0].at(still.shape_index), still.near

@@ -20,6 +20,7 @@ __all__ = [
     "RADII",
     "Cursor",
     "Found",
+    "Hit",
     "Near",
     "Query",
     "RayTree",
@@ -154,6 +155,16 @@ class Near:
     """Barycentric weights of the second and third corner, if they are known."""
     inside: UInt32 | None
     """The record of the instance that the triangle belongs to; None in scenes without instances."""
+
+
+@dataclass
+class Hit:
+    """The first hit of a ray, as loops carry it: what `PreliminaryIntersection3f` is made of."""
+
+    t: Float
+    """The distance; infinity on a miss."""
+    face: UInt32
+    near: Near
 
 
 @dataclass

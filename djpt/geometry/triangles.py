@@ -97,6 +97,18 @@ class Triangles:
         return self.tree.search(ray, True, active).record != NONE
 
     @property
+    def searches_pairs(self) -> bool:
+        """Whether there is `search_pairs`."""
+        return isinstance(self.tree, CompiledTree) and self.tree.functions.pairs is not None
+
+    def search_pairs(
+        self, ray: Ray3f, to_light: Ray3f, followed: Bool, through_lights: Bool | None
+    ) -> tuple[Found, Bool]:
+        """`search` for `ray`, and where `followed` whether the ray `to_light` is `occluded`, at once."""
+        assert isinstance(self.tree, CompiledTree)
+        return self.tree.search_pairs(ray, to_light, followed, through_lights if self.emit else None)
+
+    @property
     def can_measure(self) -> bool:
         """Whether `lengths` can tell how far rays run through media."""
         return isinstance(self.tree, CompiledTree) and self.tree.functions.lengths is not None

@@ -15,6 +15,7 @@ from djpt.description.plugin import Plugin
 from djpt.dispatch.ensemble import Ensemble, Lookup
 from djpt.emitters.pointer import EmitterPtr
 from djpt.geometry.aggregate import Geometry
+from djpt.geometry.query import Hit
 from djpt.jit.kernels import while_loop, wide
 from djpt.jit.types import Bool, Color3f, Float, Point3f, UInt32, Vector3f
 from djpt.materials.pointer import BSDFPtr
@@ -254,3 +255,14 @@ class SceneQueries(Plugin):
         else:
             hidden = self.closest_hit(ray, through_lights=Bool(through_lights)).is_valid()
         return dr.select(hidden, 0, left)
+
+    def next_hit(
+        self, ray: Ray3f, to_light: Ray3f, weight: Color3f, through_lights: Bool | None
+    ) -> tuple[Hit, Color3f]:
+        """The hit that `closest_hit` finds for `ray`, and `transmittance` along `to_light`, by one search for both.
+
+        The geometry must be one that `searches_pairs`.
+        """
+        left = weight * self.media.transmittance(to_light)
+        hit, hidden = self.geometry.closest_and_blocked(ray, to_light, dr.max(left) > 0, through_lights)
+        return hit, dr.select(hidden, 0, left)

@@ -83,16 +83,22 @@ def test_hits_are_those_of_all_triangles_one_by_one(name: str, search: str) -> N
     assert np.mean(np.array(calls.ray_test(ray)) != np.isfinite(found)) < 1e-3
 
 
-def village(ways: str, one_sided: bool = False) -> djpt.Scene:
-    """Meshes, solids in the tree, and instances, some of which emit light; some triangles may have one side."""
+def village(ways: str, one_sided: bool = False, solids: bool = True) -> djpt.Scene:
+    """Meshes, solids in the tree, and instances, some of which emit light; some triangles may have one side.
+
+    Without `solids` there are meshes in their place.
+    """
     rng, kind = np.random.default_rng(1), OneSided if one_sided else djpt.Mesh
     kinds = ("sphere", "cube", "cylinder", "disk", "rectangle")
     shapes: list[Any] = [mesh(sphere(2000), kind), mesh(sphere(500) * np.float32(0.4) + np.float32([2, 0, 0]))]
     for i in range(40):
         place = T().translate(rng.uniform(-3, 3, 3).tolist()).rotate(unit(*rng.normal(size=3)), 50.0).scale(0.2)
-        shapes.append({"type": kinds[i % 5], "to_world": place})
-        if i % 4 == 0:
-            shapes[-1]["emitter"] = {"type": "area"}
+        lamp: dict[str, Any] = {"emitter": djpt.load_dict({"type": "area"})} if i % 4 == 0 else {}
+        if solids:
+            shapes.append({"type": kinds[i % 5], "to_world": place, **lamp})
+        else:
+            corners = sphere(40) * np.float32(0.3) + np.float32(rng.uniform(-3, 3, 3))
+            shapes.append(mesh(corners[:, ::-1], kind, **lamp))
     group = {"type": "shapegroup", "a": mesh(sphere(800), kind), "b": mesh(sphere(60) + np.float32(1))}
     copies = {}
     for i in range(30):
@@ -144,6 +150,62 @@ def test_rings_find_what_searches_one_by_one_find(one_sided: bool, count: int) -
             np.testing.assert_array_equal(a[hit], b[hit])
         np.testing.assert_array_equal(ours[1], theirs[1])
         np.testing.assert_array_equal(ours[-1], theirs[-1])
+
+
+@by_rings
+@pytest.mark.parametrize("one_sided", [False, True])
+@pytest.mark.parametrize("lanes", [10**5 + 3, pytest.param(10**7, marks=pytest.mark.slow)])
+@pytest.mark.sparse(2)
+def test_pairs_find_what_two_searches_find(lanes: int, one_sided: bool) -> None:
+    """The same words, of meshes, instances, lights that some rays pass; whichever lanes have a ray to a light."""
+    rng = np.random.default_rng(5)
+    geometry = village("rings", one_sided, solids=False).geometry
+    assert geometry.triangles is not None
+    tree = geometry.triangles.tree
+    assert isinstance(tree, CompiledTree)
+    assert tree.functions.pairs is not None, "pairs don't work on this machine"
+    rays = []
+    for _ in range(2):
+        o, target = rng.normal(size=(3, lanes)) * 4, rng.uniform(-3, 3, (3, lanes))
+        end = np.where(rng.random(lanes) < 0.3, rng.uniform(0.5, 1.5, lanes), np.inf)
+        rays.append(Ray3f(Point3f(o), Vector3f(target - o), maxt=Float(end)))
+    through = Bool(rng.random(lanes) < 0.5)
+    share = np.repeat(rng.choice([0, 0.2, 1], lanes // 16 + 1), 16)[:lanes]
+    followed = Bool(rng.random(lanes) < share)
+    ours, hidden = tree.search_pairs(rays[0], rays[1], followed, through)
+    theirs = tree.search(rays[0], False, True, through)
+    blocked = tree.search(rays[1], True, followed).record != NONE
+    assert 0.1 < np.mean(np.array(blocked)) < 0.5
+    np.testing.assert_array_equal(np.array(hidden), np.array(blocked))
+    hit = np.array(theirs.record) != NONE
+    assert ours.b is not None and theirs.b is not None
+    np.testing.assert_array_equal(np.array(ours.record), np.array(theirs.record))
+    for a, b in (
+        (ours.near_t, theirs.near_t),
+        (ours.inside, theirs.inside),
+        (ours.b.x, theirs.b.x),
+        (ours.b.y, theirs.b.y),
+    ):
+        np.testing.assert_array_equal(words(a)[hit], words(b)[hit])
+
+
+@by_rings
+@pytest.mark.parametrize("rfilter", ["box", "gaussian"])
+def test_images_by_pairs_have_the_same_bits(rfilter: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where a camera ray sets out beside the last ray to a light, and where camera rays pass through lights."""
+    view = {"type": "perspective", "to_world": T().look_at([0, 0, 9], [0, 0, 0], [0, 1, 0])}
+    view["film"] = {"type": "hdrfilm", "width": 24, "height": 24, "rfilter": {"type": rfilter}}
+    place, sensor = village("rings", solids=False), djpt.load_dict(view)
+    integrator = djpt.load_dict({"type": "path", "max_depth": 4, "hide_emitters": True})
+    assert integrator.searches_pairs(place)
+
+    def image() -> NDArray[np.float32]:
+        return np.array(djpt.render(place, sensor=sensor, integrator=integrator, spp=6, schedule="flat"))
+
+    in_pairs = image()
+    monkeypatch.setattr(type(integrator), "searches_pairs", lambda *_: False)
+    assert in_pairs.max() > 0
+    np.testing.assert_array_equal(in_pairs, image())
 
 
 def side_by_side(width: float, count: int, seed: int) -> Ray3f:
@@ -370,7 +432,7 @@ def test_what_fails_its_test_is_not_used(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.delenv(engines.VARIABLE, raising=False)
     right = trees.call_any
     monkeypatch.setattr(trees, "call_any", lambda *arguments: ~right(*arguments))
-    assert not any(trees.proved(search) for search in SEARCHES)
+    assert not any(trees.proof.__wrapped__(search).hits for search in SEARCHES)
     monkeypatch.setattr(engines, "why_not", lambda _: "rays with known hits got other results")
     assert chosen() == "steps"
     assert not is_called(scene("auto", mesh(sphere(30))))
@@ -383,7 +445,8 @@ def test_a_missing_function_of_the_core_is_told(monkeypatch: pytest.MonkeyPatch)
         raise CallError("this version of Dr.Jit has no calls of functions")
 
     monkeypatch.setattr(trees, "call_closest", missing)
-    trees.why_not.cache_clear()
+    for kept in (trees.why_not, trees.proof):
+        kept.cache_clear()
     try:
         assert trees.why_not("call") == "this version of Dr.Jit has no calls of functions"
     finally:

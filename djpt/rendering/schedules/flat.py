@@ -12,14 +12,15 @@ so many channels that sums per tap would not fit.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 
 from djpt.core.records import Ray3f
 from djpt.dispatch.ensemble import Detached
-from djpt.integrators.base import PathIntegrator, PathState
+from djpt.geometry.query import Hit
+from djpt.integrators.base import PathIntegrator, PathState, Vertex
 from djpt.jit.kernels import computed_where, wide
 from djpt.jit.llvm.lanes import small_blocks
 from djpt.jit.types import Bool, Color3f, Float, Point2f, UInt32
@@ -107,6 +108,8 @@ class Lane:
     k: UInt32
     """The number of the path's sample, among those of its pixel."""
     sink: list[Any]
+    hit: Hit | None = None
+    """The first hit of the ray, if it was searched for together with a ray to a light."""
 
 
 def run(job: Job, lanes: Lanes, sink: Sink) -> list[Any]:
@@ -119,6 +122,7 @@ def run(job: Job, lanes: Lanes, sink: Sink) -> list[Any]:
     scene, width = job.scene, dr.width(lanes.pixel)
     x, y = job.coordinates(lanes.pixel)
     several = sink.steps > 1
+    in_pairs = integrator.searches_pairs(scene) and not several
     sampler, ray, offset = job.begin(lanes.pixel, lanes.first, x, y)
     start = Lane(
         ray=wide(ray, width),
@@ -132,6 +136,8 @@ def run(job: Job, lanes: Lanes, sink: Sink) -> list[Any]:
         k=wide(lanes.first, width),
         sink=sink.state,
     )
+    if in_pairs:
+        start.hit = wide(scene.geometry.first_hit(start.ray, integrator.passes_lights(start.path)), width)
 
     def aovs_of(lane: Lane, begun: Bool, ray: Ray3f) -> list[Float]:
         """The channels of the camera rays of samples that have begun; of the others those that there are."""
@@ -140,12 +146,38 @@ def run(job: Job, lanes: Lanes, sink: Sink) -> list[Any]:
         new = computed_where(begun, lambda: job.integrator.camera_channels(scene, ray.replaced()), label="aovs")
         return [dr.select(begun, value, old) for value, old in zip(new, lane.aovs, strict=True)]
 
+    def moved_on(lane: Lane, v: Vertex, taken: Bool) -> Lane:
+        """The lane on the way to its next vertex; where its sample was `taken`, at the camera of the next one."""
+        next_k = lane.k + lanes.stride
+        fresh, camera_ray, offset = job.begin(lanes.pixel, next_k, x, y)
+        begun = integrator.begin(scene, fresh)
+        return replace(
+            lane,
+            ray=dr.select(taken, camera_ray, v.ray),
+            sampler=dr.select(taken, fresh, lane.sampler),
+            path=v.state.restarted(taken, begun),
+            offset=None if lane.offset is None else dr.select(taken, offset, lane.offset),
+            aovs=aovs_of(lane, taken, camera_ray),
+            k=dr.select(taken, next_k, lane.k),
+        )
+
     def step(lane: Lane, waiting: Finished | None) -> tuple[Lane, Finished | None]:
-        si = integrator.trace(scene, lane.path, lane.ray, lane.sampler)
+        if lane.hit is None:
+            si = integrator.trace(scene, lane.path, lane.ray, lane.sampler)
+        else:
+            si = scene.surface_interaction(lane.ray, scene.geometry.intersection(lane.hit), scene.surface_detail)
         v = integrator.advance(scene, lane.sampler, lane.path, lane.ray, si)
-        here = v.emitted + integrator.transmittance(scene, lane.sampler, v)
         running = lane.k < lanes.end
         ready, held = ~v.active & running, None
+        after = None
+        if lane.hit is None:
+            light = integrator.transmittance(scene, lane.sampler, v)
+        else:
+            # One vertex per turn: the sink takes all samples at once.
+            after = moved_on(lane, v, ready)
+            through = integrator.passes_lights(after.path)
+            after.hit, light = scene.next_hit(after.ray, v.shadow_ray, v.reflected, through)
+        here = v.emitted + light
         valid: Any = v.valid
         if lane.held is not None:
             here, valid = dr.select(lane.held, 0, here), dr.select(lane.held, lane.valid, v.valid)
@@ -157,21 +189,10 @@ def run(job: Job, lanes: Lanes, sink: Sink) -> list[Any]:
         state, waiting, taken = sink.take(lane.sink, waiting, channels, lane.offset, ready)
         if lane.held is not None:
             held = ready & ~taken
-        next_k = lane.k + lanes.stride
-        fresh, camera_ray, offset = job.begin(lanes.pixel, next_k, x, y)
-        begun = integrator.begin(scene, fresh)
-        after = Lane(
-            ray=dr.select(taken, camera_ray, v.ray),
-            sampler=dr.select(taken, fresh, lane.sampler),
-            path=v.state.restarted(taken, begun),
-            radiance=dr.select(taken, 0, radiance),
-            held=held,
-            valid=None if held is None else valid,
-            offset=None if lane.offset is None else dr.select(taken, offset, lane.offset),
-            aovs=aovs_of(lane, taken, camera_ray),
-            k=dr.select(taken, next_k, lane.k),
-            sink=state,
-        )
+        after = moved_on(lane, v, taken) if after is None else after
+        after.radiance = dr.select(taken, 0, radiance)
+        after.held, after.valid = held, None if held is None else valid
+        after.sink = state
         return after, waiting
 
     def body(lane: Lane) -> Lane:

@@ -193,9 +193,19 @@ class RingSearch:
     What belongs to a ray lies in arrays with a number for each lane: its terms, its stack, and the tree in which it is.
     """
 
-    def __init__(self, f: Function, any_hit: bool, features: Features, width: int) -> None:
+    def __init__(
+        self,
+        f: Function,
+        any_hit: bool,
+        features: Features,
+        width: int,
+        packet: tuple[Value, Value] | None = None,
+    ) -> None:
+        """`packet`: where it says which lanes are active, and where the rays are; by default as `f` is told."""
         self.f, self.any_hit, self.features, self.width = f, any_hit, features, width
         self.valid, self.scene, _, self.rays = f.parameters
+        if packet is not None:
+            self.valid, self.rays = packet
         self.row = vector(F32, width)
         terms = len(RayTerms.types())
         self.group_terms = terms * self.row.size

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import drjit as dr
 import numpy as np
@@ -29,6 +29,7 @@ from djpt.geometry.bvh.calls.layout import (
     REFERENCE,
     ROW_WORDS,
 )
+from djpt.geometry.bvh.calls.pairs import KEEP_ORIGINS, PAIRS, pair_functions
 from djpt.geometry.bvh.calls.ray import Features
 from djpt.geometry.bvh.calls.rings import ring_function
 from djpt.geometry.bvh.calls.sweep import sweep_function
@@ -81,6 +82,36 @@ def call_any(code: Code, scene: UInt32, o: Point3f, d: Vector3f, maxt: Float, ac
     return Bool(call(code, scene, arguments(o, d, maxt, active, flags), [Bool(False)], any_hit=True)[0])
 
 
+def call_pairs(
+    keep: Code,
+    pairs: Code,
+    scene: UInt32,
+    ray: tuple[Point3f, Vector3f, Float],
+    to_light: tuple[Point3f, Vector3f, Float],
+    followed: Bool,
+    flags: UInt32,
+) -> tuple[Met, Bool]:
+    """`call_closest` for each `ray`, and `call_any` for the ray `to_light` where that is `followed`.
+
+    Rays are their origins, directions and ends.
+    """
+    o, d, maxt = to_light
+    kept = call(keep, scene, arguments(o, d, maxt, followed, UInt32(0)), [Bool(False)], any_hit=True)[0]
+    end = dr.select(Bool(kept), dr.detach(maxt), 0)
+    inputs: list[Any] = arguments(*ray, Bool(True), flags)
+    d = dr.detach(d)
+    rest: list[Float] = [d.x, d.y, d.z, end]
+    for place, number in zip(TO_LIGHT, rest, strict=True):
+        inputs[place] = number if place < FIRST_WHOLE else dr.reinterpret_array(UInt32, number)
+    outputs: list[Any] = [Bool(False), Float(0), Float(0), Float(0), UInt32(0), UInt32(0), UInt32(0)]
+    *met, hidden = call(pairs, scene, inputs, outputs)
+    return Met(*met), Bool(hidden != 0)
+
+
+TO_LIGHT, FIRST_WHOLE = (5, 9, 12, 13), 11
+"""The inputs that `call_pairs` uses for the direction and the end of a ray to a light; the first of whole numbers."""
+
+
 def call_lengths(
     code: Code, scene: UInt32, o: Point3f, d: Vector3f, maxt: Float, active: Bool, medium: UInt32
 ) -> tuple[Bool, list[Float]]:
@@ -116,6 +147,8 @@ class Functions:
 
     closest: Code
     any: Code
+    pairs: tuple[Code, Code] | None = None
+    """Those that search for two rays of each lane; None if the search can't."""
     lengths: Code | None = None
     """The one that measures media; None if no triangle is passable, or the search can't."""
 
@@ -163,9 +196,30 @@ class CompiledTree:
             hit = call_any(self.functions.any, self.memory, origin, ray.d, maxt, Bool(active), flags)
             return Found(origin, entry, maxt, dr.select(hit, UInt32(1), NONE), None)
         met = call_closest(self.functions.closest, self.memory, origin, ray.d, maxt, Bool(active), flags)
+        return self._found(met, origin, entry, maxt)
+
+    def search_pairs(
+        self, ray: Ray3f, to_light: Ray3f, followed: Bool, through_lights: Bool | None
+    ) -> tuple[Found, Bool]:
+        """Find the first hit of `ray` and, where `followed`, whether the ray `to_light` hits anything.
+
+        There must be functions for it.
+        """
+        assert self.functions.pairs is not None
+        origin, entry = enter(self, ray)
+        own, maxt = (origin, ray.d, ray.maxt - entry), ray.maxt - entry
+        start, moved = enter(self, to_light)
+        other = start, to_light.d, to_light.maxt - moved
+        met, hidden = call_pairs(
+            *self.functions.pairs, self.memory, own, other, followed, flags_of(None, through_lights)
+        )
+        return self._found(met, origin, entry, maxt), hidden
+
+    def _found(self, met: Met, origin: Point3f, entry: Float, maxt: Float) -> Found:
+        """The first hit of rays that end at `maxt`."""
         inside = dr.select(met.hit, met.inside, NONE) if self.instanced else None
-        b = Point2f(met.b1, met.b2)
-        return Found(origin, entry, dr.select(met.hit, met.t, maxt), dr.select(met.hit, met.record, NONE), inside, b)
+        t, record = dr.select(met.hit, met.t, maxt), dr.select(met.hit, met.record, NONE)
+        return Found(origin, entry, t, record, inside, Point2f(met.b1, met.b2))
 
     def start(
         self, o: Point3f, d: Vector3f, maxt: Float, active: Bool | bool, hit: UInt32 | int, weights: bool
@@ -229,7 +283,8 @@ def flags_of(any_hit: Bool | None, through_lights: Bool | None) -> UInt32:
 # ---- compiled functions ------------------------------------------------------------------------------------------
 
 
-SEARCHES: dict[str, Callable[[str, int, Features], str]] = {"rings": ring_function, "call": packet_function}
+RINGS = "rings"
+SEARCHES: dict[str, Callable[[str, int, Features], str]] = {RINGS: ring_function, "call": packet_function}
 """The searches in LLVM's language, the fastest first: of the rays of a packet side by side, or one after the other."""
 
 SWEEP = "sweep"
@@ -246,22 +301,32 @@ def functions(features: Features, search: str, measures: bool = False) -> Functi
     """
     measures &= not features.instances
     lengths = Code.at(address_of_lengths(features)) if measures else None
-    closest, any_hit = addresses(features, search)
-    return Functions(Code.at(closest), Code.at(any_hit), lengths)
+    closest, any_hit, *pairs = (Code.at(address) for address in addresses(features, search))
+    return Functions(closest, any_hit, (pairs[0], pairs[1]) if pairs and proof(search).pairs else None, lengths)
 
 
 @cache
-def addresses(features: Features, search: str) -> tuple[int, int]:
-    """Where the functions for the closest hit and for any hit are in memory."""
+def addresses(features: Features, search: str) -> list[int]:
+    """Where the functions for the closest hit and for any hit are in memory, then those for pairs of rays, if any.
+
+    Rings have these, but not for scenes with solids in their trees, among which any hit is found faster alone.
+    """
     width = lane_count()
     target()  # for which other threads may not be able to ask
 
-    def address(kind: str) -> int:
-        return compiled(FUNCTIONS[search](kind, width, features), (name_of(kind),))[name_of(kind)]
+    def search_of(kind: str) -> list[int]:
+        found = compiled(FUNCTIONS[search](kind, width, features), (name_of(kind),))
+        return [found[name_of(kind)]]
+
+    def search_of_pairs() -> list[int]:
+        found = compiled(pair_functions(width, features), (KEEP_ORIGINS, PAIRS))
+        return [found[KEEP_ORIGINS], found[PAIRS]]
 
     with ThreadPoolExecutor(2) as team:
-        closest, any_hit = team.map(address, (CLOSEST, ANY))
-    return closest, any_hit
+        parts = [team.submit(search_of, kind) for kind in (CLOSEST, ANY)]
+        if search == RINGS and not features.kinds:
+            parts.append(team.submit(search_of_pairs))
+        return [address for part in parts for address in part.result()]
 
 
 @cache
@@ -276,17 +341,27 @@ def why_not(search: str) -> str | None:
 
     Found out at the first call, by rays whose hits are known.
     """
-    if search == "rings" and instruction_set() not in RING_SETS:
+    if search == RINGS and instruction_set() not in RING_SETS:
         return "the processor, or Dr.Jit's packets, lack AVX2"
-    return reason_against(lambda: proved(search), "rays with known hits got other results")
+    return reason_against(lambda: proof(search).hits, "rays with known hits got other results")
 
 
 RING_SETS = ("AVX-512", "AVX2")
 """The instruction sets by which vectors can be compressed."""
 
 
-def proved(search: str) -> bool:
-    """Whether rays through a stack of triangles get the hits that follow from how it was made."""
+class Proof(NamedTuple):
+    """What functions were proved to find."""
+
+    hits: bool
+    """The closest hits and any hits of rays."""
+    pairs: bool
+    """Both for two rays of each lane."""
+
+
+@cache
+def proof(search: str) -> Proof:
+    """Let rays through a stack of triangles find the hits that follow from how it was made."""
     count, misses = 40, 3
     corner = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32)
     # Triangle k lies at x = 2 k, in the plane z = k.
@@ -298,18 +373,27 @@ def proved(search: str) -> bool:
         built = build(corners)
         searches.result()
     built.memory[0] = 0
-    memory, own = UInt32(built.memory), functions(Features(), search)
+    memory = UInt32(built.memory)
+    closest, any_hit, *pair = (Code.at(address) for address in addresses(Features(), search))
     lane = dr.arange(UInt32, count + misses)
     exists = lane < count
     x, z = Float(2 * lane), Float(lane)
     center = Point3f(*(float(c) for c in built.extent.center))
     o, d = Point3f(x + 0.25, 0.5, z - 4) - center, Vector3f(0, 0, 2)
-    met = call_closest(own.closest, memory, o, d, Float(dr.inf), Bool(True), UInt32(0))
-    blocked = call_any(own.any, memory, o, d, Float(2.5), lane != 1, UInt32(0))
+    met = call_closest(closest, memory, o, d, Float(dr.inf), Bool(True), UInt32(0))
+    blocked = call_any(any_hit, memory, o, d, Float(2.5), lane != 1, UInt32(0))
     triangle = dr.gather(UInt32, UInt32(built.order), met.record, met.hit)
     right = (met.hit == exists) & (blocked == (exists & (lane != 1)))
     near = (abs(met.t - 2) < 1e-5) & (abs(met.b1 - 0.25) < 1e-5) & (abs(met.b2 - 0.5) < 1e-5)
-    return bool(dr.all(right & (near & (triangle == lane) & (met.inside == 0) | ~exists)))
+    right &= near & (triangle == lane) & (met.inside == 0) | ~exists
+    if not pair:
+        return Proof(bool(dr.all(right)), False)
+    far, moved = Float(dr.inf), o - Vector3f(0.125, 0, 0)
+    again, hidden = call_pairs(pair[0], pair[1], memory, (o, d, far), (moved, d, Float(2.5)), lane != 1, UInt32(0))
+    same = (again.t == met.t) & (again.record == met.record) | ~exists
+    alike = (again.hit == met.hit) & (hidden == blocked) & same
+    dr.eval(right, alike)
+    return Proof(bool(dr.all(right)), bool(dr.all(alike)))
 
 
 # ---- the trees of a scene ----------------------------------------------------------------------------------------
@@ -386,7 +470,7 @@ class CompiledTrees:
         faces = self._faces() if placed is None else None
         end = int(first_triangle[-1])
         rows = aligned((end + (0 if faces is None else len(faces.rows)), ROW_WORDS))
-        measures = self._search == "rings" and any(tree.part.ways is not None for tree in trees)
+        measures = self._search == RINGS and any(tree.part.ways is not None for tree in trees)
         for k, tree in enumerate(trees):
             own = rows[starts[k] : starts[k + 1]]
             own.ravel()[:] = tree.built.memory
