@@ -247,7 +247,8 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
             shown = transmittance(
                 scene, sampler, vertex.ray_to(ds.p), shown, lit, to_emitter=False, through_lights=self.hide_emitters
             )
-            weight = mis_weight(meeting(subpath.vcm, subpath.vc, importance * vertex.cos(ds.d), s.back, self.h))
+            vcm = self.mergeable(scene, subpath.vcm, vertex, None)
+            weight = mis_weight(meeting(vcm, subpath.vc, importance * vertex.cos(ds.d), s.back, self.h))
 
         onward, survives = self.onwards(scene, sampler, hit, s, subpath.depth > self.roulette_from)
         active = hit.active & (onward.depth < self.joined) & survives
@@ -365,7 +366,7 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
         value = subpath.throughput * value * v.flux * sent * falloff
         at_light = pdf * there.cos(d) * falloff
         at_camera = sent_pdf * vertex.cos(d) * falloff
-        by_light = meeting(v.vcm, v.vc, at_light, sent_back, self.h)
+        by_light = meeting(self.mergeable(scene, v.vcm, there, vertex), v.vc, at_light, sent_back, self.h)
         by_camera = meeting(subpath.vcm, subpath.vc, at_camera, pdf_back, self.h)
         fits = subpath.depth + v.depth < self.joined
         way = vertex.ray_to(there.si.offset_p(-d))
@@ -399,8 +400,22 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
     # ---- either way --------------------------------------------------------------------
 
     def joinable(self, scene: Scene, subpath: Subpath, vertex: PathVertex) -> Subpath:
-        """The subpath up to a vertex that can be joined; further ways to join it add to `Subpath.vcm`: here none."""
+        """The subpath up to a vertex that can be joined; further ways to join it add to its numbers: here none."""
         return subpath
+
+    def mergeable(self, scene: Scene, vcm: Float, vertex: PathVertex, before: PathVertex | None) -> Float:
+        """The `vcm` of a light path at a vertex that is joined to another one, or to the lens if that is None.
+
+        Further ways to join the light path there to a camera path that comes from the other vertex add to it: here
+        none.
+        """
+        return vcm
+
+    def continued(
+        self, scene: Scene, subpath: Subpath, vertex: PathVertex, s: Scattering, throughput: Color3f
+    ) -> Subpath:
+        """The subpath continued from a vertex by the scattering `s`, with the given throughput."""
+        return subpath.scattered(vertex, s, throughput, self.h)
 
     def shared(self, others: Float, edges: UInt32) -> Float:
         """The part of a weight due to further strategies, which longer paths lack."""
@@ -416,7 +431,7 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
             subpath.throughput, subpath.zero_weight, s.weight, lambda: vertex.si.bsdf().vanishes() & (s.sample.pdf > 0)
         )
         throughput, survives = roulette(sampler, product, eta, roulette_begins)
-        onward = replace(subpath, zero_weight=zero_weight).scattered(vertex, s, throughput, self.h)
+        onward = self.continued(scene, replace(subpath, zero_weight=zero_weight), vertex, s, throughput)
         if scene.media.scatter:
             onward = hit.incoming.passing(vertex, vertex.passes(s), onward)
         return onward, survives

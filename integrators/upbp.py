@@ -14,7 +14,7 @@ from djpt.description.registry import register_integrator
 from djpt.errors import RenderError
 from djpt.integrators.bidirectional.subpath import Subpath, mis_weight
 from djpt.integrators.paths.path_vertex import MediumVertex, NextVertex, phase_evaluated
-from djpt.integrators.photons import PhotonMap, PhotonStore
+from djpt.integrators.photons import NOWHERE, PhotonMap, PhotonStore
 from djpt.integrators.photons.beams import Beam, BeamStore
 from djpt.integrators.photons.cells import Cells, Segment
 from djpt.integrators.photons.photon import MOST_EDGES, edges_and_medium
@@ -22,6 +22,7 @@ from djpt.integrators.photons.photon_mapping import scattering_at
 from djpt.integrators.vcm import PhotonPath, VertexConnectionMerging
 from djpt.jit.types import Bool, Color3f, Float, Int64, Point3f, UInt32, Vector3f
 from djpt.samplers.base import SampleStream
+from djpt.samplers.seeds import sample_tea_32
 
 if TYPE_CHECKING:
     from djpt.scene.scene import Scene
@@ -34,9 +35,6 @@ MEAN_SINE = math.pi / 4
 
 PARALLEL = 1e-6
 """The least squared sine of the angle between two beams that are looked at."""
-
-MOST_CELLS_ALONG = 128
-"""The most cells of a grid along an axis."""
 
 
 @dataclass
@@ -66,7 +64,8 @@ class UnifiedPointsBeamsPaths(VertexConnectionMerging):
 
     Parameters: those of `vcm`; `points`, `beams_of_camera`, `beams_of_light` (default true: use the estimator
     point-point 3D, point-beam 2D, beam-beam 1D), `beam_count` (the light paths of a pass that leave beams, on average,
-    default 2^12, at most `photon_count`), `long_beams` (default false; homogeneous media only).
+    default 2^9, at most `photon_count`), `point_count` (those whose photons beams of the
+    camera look for, on average, default 2^15), `long_beams` (default false; homogeneous media only).
 
     J. Křivánek, I. Georgiev, T. Hachisuka, P. Vévoda, M. Šik, D. Nowrouzezahrai and W. Jarosz, "Unifying Points, Beams,
     and Paths in Volumetric Light Transport Simulation", 2014; W. Jarosz, D. Nowrouzezahrai, I. Sadeghi and H. W.
@@ -80,12 +79,13 @@ class UnifiedPointsBeamsPaths(VertexConnectionMerging):
         self.points = props.boolean("points", True)
         self.beams_of_camera = props.boolean("beams_of_camera", True)
         self.beams_of_light = props.boolean("beams_of_light", True)
-        self.beam_count = min(props.integer("beam_count", 2**12, low=1), self.photon_count)
+        self.point_count = min(props.integer("point_count", 2**15, low=1), self.photon_count)
+        self.beam_count = min(props.integer("beam_count", 2**9, low=1), self.photon_count)
         self.long_beams = props.boolean("long_beams", False)
         self._balls: Cells | None = None
         self._capsules: Cells | None = None
         self._beams: BeamStore | None = None
-        self._share = self._of_pair = self._over_pairs = Float(0)
+        self._share = self._of_pair = self._over_pairs = self._over_points = self._of_point = Float(0)
 
     def check_scene(self, scene: Scene, sensor: Sensor) -> None:
         for medium in scene.every_medium.plugins:
@@ -121,6 +121,10 @@ class UnifiedPointsBeamsPaths(VertexConnectionMerging):
         integrator = super().looking_at(photons)
         assert isinstance(integrator, UnifiedPointsBeamsPaths)
         integrator._share = dr.opaque(Float, self.beam_count / self.photon_count)
+        integrator._over_points = dr.opaque(Float, self.photon_count / self.point_count)
+        integrator._of_point = self.h(
+            photons.expected * dr.opaque(Float, self.point_count / self.photon_count / self.crowd)
+        )
         pairs = photons.radius * dr.opaque(Float, 2 * self.beam_count)
         integrator._of_pair = pairs * MEAN_SINE * dr.opaque(Float, 1 / self.crowd)
         integrator._over_pairs = photons.expected * dr.rcp(pairs)
@@ -133,15 +137,13 @@ class UnifiedPointsBeamsPaths(VertexConnectionMerging):
             return
         there = Bool(True)
         if self.beams_of_camera:
-            self._balls = Cells(photons.box, photons.radius, min(MOST_CELLS_ALONG, 8 + round((2 * count) ** (1 / 3))))
-            point = Vector3f(0, 0, 1), Float(0)
-            self._balls.fill(count, lambda i: Segment(photons.position(i, there)[0], *point))
+            self._balls = Cells(photons.box, photons.radius)
+            most = dr.opaque(UInt32, round(self.point_count / self.photon_count * (2**32 - 1)))
+            self._balls.fill(count, lambda i: ball(photons, i, most))
         if self.beams_of_light:
-            self._beams, beams = store, store.beams
-            self._capsules = Cells(
-                photons.box, photons.radius, min(MOST_CELLS_ALONG, 8 + round((2 * beams) ** (1 / 2)))
-            )
-            self._capsules.fill(beams, lambda i: store.beam(i, there).segment)
+            self._beams = store
+            self._capsules = Cells(photons.box, photons.radius)
+            self._capsules.fill(store.beams, lambda i: store.beam(i, there).segment)
 
     # ---- densities ---------------------------------------------------------------------
 
@@ -150,7 +152,7 @@ class UnifiedPointsBeamsPaths(VertexConnectionMerging):
 
     def camera_beam_merging(self, p: Point3f) -> Float:
         """h(density) of merging photons at a point with beams of the camera."""
-        return self.in_box(p, self._merging) if self.beams_of_camera else Float(0)
+        return self.in_box(p, self._of_point) if self.beams_of_camera else Float(0)
 
     def beam_pair_merging(self, p: Point3f, sigma_t: Color3f) -> Float:
         """h(density) of merging beams of light with beams of the camera at a point."""
@@ -190,7 +192,8 @@ class UnifiedPointsBeamsPaths(VertexConnectionMerging):
             return None
         assert incoming.ray.medium is not None
         length = self.beam_length(reached)
-        inside = active & scene.media.fill(incoming.ray.medium)
+        assert incoming.merges is not None
+        inside = active & incoming.merges & scene.media.fill(incoming.ray.medium)
         edges = dr.select(incoming.depth < self.joined, self.joined - incoming.depth, 0)
         found = Color3f(0)
         if self._balls is not None:
@@ -234,7 +237,7 @@ class UnifiedPointsBeamsPaths(VertexConnectionMerging):
             _, sigma_t = scattering_at(scene, medium, photon.p, there)
             beside = self.point_merging(sigma_t) + self.beam_pair_merging(photon.p, sigma_t)
             others = by_light + self.part(incoming, t, back) + beside
-            weight = mis_weight(others * dr.rcp(self._merging))
+            weight = mis_weight(others * dr.rcp(self._of_point)) * self._over_points
             left = self.left(scene, ray, t, incoming.throughput, there)
             return photons.added(total, there, value * photon.flux * left * weight)
 
@@ -296,9 +299,26 @@ class UnifiedPointsBeamsPaths(VertexConnectionMerging):
         flux = subpath.throughput * path.power
         length = self.beam_length(reached)
         edges = Float(subpath.depth)
-        beam = Beam(ray.o, ray.d, length, edges, ray.medium, flux, subpath.vcm, subpath.vc, subpath.before)
+        # A point on the way isn't on a surface.
+        vc = subpath.vc
+        if self.everywhere:
+            assert subpath.merging is not None
+            vc = vc + subpath.merging
+        beam = Beam(ray.o, ray.d, length, edges, ray.medium, flux, subpath.vcm, vc, subpath.before)
         there = scene.media.fill(ray.medium) & (subpath.depth < self.joined) & (dr.max(flux) > 0)
         store.add_beam(beam, path.leaves_beams & there)
+
+
+def ball(photons: PhotonMap, i: UInt32, most: UInt32) -> Segment:
+    """What the ball of a photon is about, if it is in a medium and among those chosen; else a segment of no use.
+
+    The bits of its position choose it: threads, which decide about its number, mustn't. `most` of 2^32 - 1 are chosen.
+    """
+    p, word = photons.position(i, Bool(True))
+    x, y, z = (UInt32(dr.reinterpret_array(UInt32, c)) for c in p)
+    inside = edges_and_medium(word)[1] != NOWHERE
+    chosen = inside & (sample_tea_32(x ^ (z * 0x9E3779B1), y)[0] <= most)
+    return Segment(p, Vector3f(0, 0, 1), dr.select(chosen, Float(0), -1))
 
 
 @dataclass

@@ -7,11 +7,19 @@ from typing import TYPE_CHECKING
 
 import drjit as dr
 
+from djpt.core.records import BSDFFlags, Ray3f, has_flag
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
 from djpt.integrators.bdpt import BidirectionalPath
 from djpt.integrators.bidirectional.subpath import Subpath, mis_weight
-from djpt.integrators.paths.path_vertex import MediumVertex, NextVertex, PathVertex, next_vertex, phase_evaluated
+from djpt.integrators.paths.path_vertex import (
+    MediumVertex,
+    NextVertex,
+    PathVertex,
+    Scattering,
+    next_vertex,
+    phase_evaluated,
+)
 from djpt.integrators.photons import (
     NOWHERE,
     Photon,
@@ -27,8 +35,12 @@ from djpt.samplers.base import SampleStream
 
 if TYPE_CHECKING:
     from djpt.scene.scene import Scene
+    from djpt.sensors.base import Sensor
 
 __all__ = ["PhotonPath", "VertexConnectionMerging"]
+
+SHARP = BSDFFlags.DeltaReflection | BSDFFlags.DeltaTransmission | BSDFFlags.Glossy
+"""The lobes behind which camera paths are merged."""
 
 
 @dataclass
@@ -54,8 +66,14 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
     In media that scatter light the photons about a vertex are those of a ball: the density is p sigma_t 4/3 pi r^3 N,
     where the weights know, as those of `bdpt`, no other densities of distances.
 
+    Mergings are of use where nothing else is: a vertex that a camera path has come to from a surface that scatters
+    light into all directions, or from the lens, can be connected to that one, with little noise, at a fraction of the
+    time. So only edges that begin on surfaces with mirrors, glass, or gloss are merged, by default. The vertices of a
+    path decide that, so it is the same for all strategies.
+
     Parameters: those of `bdpt` (without `strategies`) and of all `PhotonMapping`; a camera path has one
-    light path at most.
+    light path at most. `merging`: the edges of camera paths that are merged, `glossy` (default) or `everywhere`, as in
+    the literature; the first edge counts among the former with sensors to which light can't be traced.
 
     I. Georgiev, J. Křivánek, T. Davidovič and P. Slusallek, "Light Transport Simulation with Vertex Connection and
     Merging", 2012; T. Hachisuka, J. Pantaleoni and H. W. Jensen, "A Path Space Extension for Robust Light Transport
@@ -72,6 +90,7 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
         super().__init__(props)
         if self.strategies:
             raise props.error("strategies", "isn't possible with photons; possible with: bdpt")
+        self.everywhere = props.string("merging", "glossy", choices=("glossy", "everywhere")) == "everywhere"
         self._merging = self._merging_in_media = Float(0)
 
     def looking_at(self, photons: PhotonMap) -> VertexConnectionMerging:
@@ -84,14 +103,54 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
 
     # ---- where paths meet --------------------------------------------------------------
 
+    def at_light(self, scene: Scene, sampler: SampleStream) -> tuple[Subpath, Float]:
+        subpath, power = super().at_light(scene, sampler)
+        return replace(subpath, merging=Float(0)), power
+
+    def at_camera(self, scene: Scene, camera: Sensor, ray: Ray3f, inside: Bool) -> Subpath:
+        merges = self.everywhere or not self.shows_light(scene, camera)
+        return replace(super().at_camera(scene, camera, ray, inside), merges=Bool(merges))
+
+    def is_sharp(self, vertex: PathVertex) -> Bool | bool:
+        """True at vertices behind which camera paths are merged: surfaces with mirrors, glass, or gloss."""
+        if self.everywhere:
+            return True
+        sharp = vertex.si.is_valid() & has_flag(vertex.si.bsdf().flags(), SHARP)
+        return sharp if vertex.medium_vertex is None else sharp & ~vertex.medium_vertex.inside
+
     def joinable(self, scene: Scene, subpath: Subpath, vertex: PathVertex) -> Subpath:
-        """The subpath up to a vertex that can be joined: by connections, whose densities are 1, and by mergings."""
-        merging, inside = self._merging, vertex.medium_vertex
-        if inside is not None:
-            merging = dr.select(
-                inside.inside, self.merging_at(scene, inside.medium, vertex.si.p, inside.inside), merging
-            )
-        return replace(subpath, vcm=subpath.vcm + merging)
+        """The subpath up to a vertex that can be joined: by connections, whose densities are 1, and by mergings.
+
+        Which mergings there are at the vertex before depends on this one for a light path; for a camera path, those at
+        this vertex depend on the one before.
+        """
+        if subpath.merging is not None:
+            return replace(subpath, vc=subpath.vc + dr.select(self.is_sharp(vertex), subpath.merging, 0))
+        assert subpath.merges is not None
+        return replace(subpath, vcm=subpath.vcm + dr.select(subpath.merges, self.merging(scene, vertex), 0))
+
+    def mergeable(self, scene: Scene, vcm: Float, vertex: PathVertex, before: PathVertex | None) -> Float:
+        if before is None:
+            return vcm + self.merging(scene, vertex) if self.everywhere else vcm
+        return vcm + dr.select(self.is_sharp(before), self.merging(scene, vertex), 0)
+
+    def continued(
+        self, scene: Scene, subpath: Subpath, vertex: PathVertex, s: Scattering, throughput: Color3f
+    ) -> Subpath:
+        onward = super().continued(scene, subpath, vertex, s, throughput)
+        if subpath.merging is None:
+            return replace(onward, merges=Bool(self.is_sharp(vertex)))
+        share = self.h(vertex.cos(onward.ray.d) * dr.rcp(s.sample.pdf))
+        delta = has_flag(s.sample.sampled_type, BSDFFlags.Delta)
+        return replace(onward, merging=dr.select(delta, 0, share * self.merging(scene, vertex)))
+
+    def merging(self, scene: Scene, vertex: PathVertex) -> Float:
+        """The sum of h(density) of all ways to merge paths at a vertex."""
+        inside = vertex.medium_vertex
+        if inside is None:
+            return self._merging
+        in_medium = self.merging_at(scene, inside.medium, vertex.si.p, inside.inside)
+        return dr.select(inside.inside, in_medium, self._merging)
 
     def merging_at(self, scene: Scene, medium: UInt32, p: Point3f, active: Bool) -> Float:
         """The sum of h(density) of all ways to merge paths at a point in a medium."""
@@ -104,9 +163,10 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
     def merged(self, scene: Scene, subpath: Subpath, vertex: PathVertex, sampler: SampleStream, joins: Bool) -> Color3f:
         """The light of the photons about a vertex of a camera path."""
         assert self.photons is not None
+        assert subpath.merges is not None
         si, medium_vertex = vertex.si, vertex.medium_vertex
         edges = dr.select(subpath.depth < self.joined, self.joined - subpath.depth, 0)
-        in_medium = None
+        joins, in_medium = joins & subpath.merges, None
         if medium_vertex is not None:
             in_medium = self.merged_in_medium(
                 scene, subpath, si.p, medium_vertex, edges, sampler, joins & medium_vertex.inside
@@ -163,7 +223,7 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
         reached = next_vertex(scene, ray, si, path.subpath.throughput, sampler)
         vertex = reached.vertex
         self.crossing(scene, path, reached, store)
-        subpath = path.subpath.arrived(vertex, reached.transmittance, self.h)
+        subpath = self.joinable(scene, path.subpath.arrived(vertex, reached.transmittance, self.h), vertex)
         on = vertex.si.is_valid() & (subpath.depth < self.joined)
         flux = subpath.throughput * path.power
         photon = Photon(vertex.si.p, vertex.si.n, Float(subpath.depth), ray.d, flux, subpath.vcm, subpath.vc)
@@ -173,7 +233,7 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
         s = vertex.scatter(scene, False, None, sampler, on)
         eta = None if subpath.eta is None else subpath.eta * s.sample.eta
         throughput, survives = roulette(sampler, subpath.throughput * s.weight, eta, subpath.depth > self.roulette_from)
-        after = self.joinable(scene, subpath, vertex).scattered(vertex, s, throughput, self.h)
+        after = self.continued(scene, subpath, vertex, s, throughput)
         if scene.media.scatter:
             after = path.subpath.passing(vertex, vertex.passes(s), after)
         return replace(path, subpath=after), on & survives & (after.depth < self.joined)

@@ -110,6 +110,10 @@ class Subpath:
     """The number of edges, the next one included."""
     zero_weight: Color3f | None = None
     """While derivatives are replayed, the factor of each channel that was set aside, or 1: see `scaled`. Else None."""
+    merging: Float | None = None
+    """What merging paths at the vertex where a light path's last edge begins would add to `vc`; None if none merge."""
+    merges: Bool | None = None
+    """True if a camera path is merged along its last edge, and at its end; None if paths aren't merged."""
 
     def arrived(self, vertex: PathVertex, transmittance: Color3f, h: Heuristic) -> Subpath:
         """The subpath with the vertex that its ray has reached: densities are per unit area there.
@@ -122,7 +126,11 @@ class Subpath:
         distance = vertex.si.t + self.before
         spread = dr.select(hit & (self.before < dr.inf), h(dr.square(distance)), 1)
         return replace(
-            self, throughput=self.throughput * transmittance, vcm=self.vcm * spread * inverse, vc=self.vc * inverse
+            self,
+            throughput=self.throughput * transmittance,
+            vcm=self.vcm * spread * inverse,
+            vc=self.vc * inverse,
+            merging=None if self.merging is None else self.merging * inverse,
         )
 
     def scattered(self, vertex: PathVertex, s: Scattering, throughput: Color3f, h: Heuristic) -> Subpath:
@@ -151,6 +159,8 @@ class Subpath:
             vc=dr.select(passes, self.vc, other.vc),
             before=dr.select(passes, self.before + vertex.si.t, other.before),
             depth=dr.select(passes, self.depth, other.depth),
+            merging=None if self.merging is None else dr.select(passes, self.merging, other.merging),
+            merges=None if self.merges is None else dr.select(passes, self.merges, other.merges),
         )
 
 

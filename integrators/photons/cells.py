@@ -30,6 +30,9 @@ __all__ = ["Box", "Cells", "Segment"]
 MOST_CELLS = 2**22
 """The most cells of a grid."""
 
+ROUNDS = 24
+"""Rounds of a fixed-point iteration, each of which divides its error by three."""
+
 SLACK = 1.001
 """Balls and capsules are noted as if they were wider by this factor: rounding must not leave out a cell."""
 
@@ -134,31 +137,46 @@ class March:
 class Cells:
     """Numbered balls or capsules of one radius, by the cells of a box that they reach into."""
 
-    def __init__(self, box: Box, radius: Float, wanted: int) -> None:
-        """Create an empty grid.
+    def __init__(self, box: Box, radius: Float) -> None:
+        """Create an empty grid, of one cell; `fill` chooses how many there are.
 
         Args:
             box: what the grid covers.
             radius: that of the balls and capsules, 1-wide.
-            wanted: the number of cells along the longest side; fewer if a ball would reach into many.
         """
         low, high = (np.array([c[0] for c in corner], np.float64) for corner in (box.low, box.high))
-        sides = np.maximum(high - low, 1e-30)
-        width = max(sides.max() / wanted, 2 * float(radius[0]))
-        width = max(width, (sides.prod() / MOST_CELLS) ** (1 / 3))
-        counts = np.maximum(np.ceil(sides / width), 1).astype(int)
         self.box, self._radius = box, radius
+        self._least = max(2 * float(radius[0]), 1e-30)
+        self._sides = np.maximum(high - low, self._least)
+        self._divide(1)
+        self._begin, self._entries = dr.opaque(UInt32, 0, self._count + 1), dr.opaque(UInt32, 0, 1)
+
+    def _divide(self, wanted: float) -> None:
+        """Divide the box into about as many cells as are wanted; fewer if a ball would reach into many."""
+        width = max(self._least, float(self._sides.prod() / min(max(wanted, 1), MOST_CELLS)) ** (1 / 3))
+        counts = np.maximum(np.ceil(self._sides / width), 1).astype(int)
         self._count = int(counts.prod())
-        self._widths = Vector3f(*(dr.opaque(Float, float(w)) for w in sides / counts))
-        self._inverse = Vector3f(*(dr.opaque(Float, float(w)) for w in counts / sides))
+        self._widths = Vector3f(*(dr.opaque(Float, float(w)) for w in self._sides / counts))
+        self._inverse = Vector3f(*(dr.opaque(Float, float(w)) for w in counts / self._sides))
         self._last = [dr.opaque(Int32, int(n) - 1) for n in counts]
         self._strides = [dr.opaque(UInt32, int(n)) for n in (1, counts[0], counts[0] * counts[1])]
-        self._begin, self._entries = dr.opaque(UInt32, 0, self._count + 1), dr.opaque(UInt32, 0, 1)
 
     # ---- filling -----------------------------------------------------------------------
 
     def fill(self, count: int, segment: Callable[[UInt32], Segment]) -> None:
-        """Note `count` balls or capsules, by the segments that they are about."""
+        """Note `count` balls or capsules, by the segments that they are about; those of a negative length are none.
+
+        A segment of the length l passes through about 3/2 l / w cells of the width w: cells are as small as gives each
+        of them one entry to look at, on average over the box.
+        """
+        if count:
+            of = segment(dr.arange(UInt32, count) + dr.opaque(UInt32, 0))
+            start, end = self.box.span(of.o, of.d, of.length, self._radius)
+            within: Any = end - start
+            pieces: Any = dr.count(within >= 0)
+            lengths: Any = dr.sum(dr.maximum(within, 0))
+            dr.eval(pieces, lengths)
+            self._divide(cells_for(int(pieces[0]), float(lengths[0]), float(self._sides.prod())))
         counts = dr.opaque(UInt32, 0, self._count + 1)
         if count:
             self._visit(count, segment, lambda number, cell, there: dr.scatter_add(counts, UInt32(1), cell, there))
@@ -307,6 +325,15 @@ class Cells:
         state = wide(state, lanes)
         _, total = while_loop((state, total), lambda march, total: march.active, body, label="what a ray meets")
         return total
+
+
+def cells_for(pieces: int, length: float, volume: float) -> float:
+    """The number n of cells to which `pieces` segments of a length in all make about n entries."""
+    n = float(max(pieces, 1))
+    for _ in range(ROUNDS):
+        # n^(1/3) cells per side: the entries grow with the root of what they should be, so this converges.
+        n = pieces + 1.5 * length * (n / volume) ** (1 / 3)
+    return n
 
 
 def between(o: Float, d: Float, low: Float, high: Float, start: Float, end: Float) -> tuple[Float, Float]:

@@ -26,6 +26,7 @@ __all__ = [
     "direction_in",
     "edges_and_medium",
     "memory_for",
+    "normal_in",
     "require_memory",
     "unpacked",
     "word_of",
@@ -37,9 +38,9 @@ WORDS = 8
 WEIGHTS = 2
 """Additional words of photons that have weights."""
 
-FOUND = 8
-"""The words per photon, at most, that it takes to find its cell: its hash value and its number among those that have
-it, and three for each hash value, of which there are less than two to a photon."""
+FOUND = 15
+"""The words per photon, at most, that it takes to find its cell: its hash value, its number among those that have it,
+its place in their order, and three for each hash value, of which there are less than four to a photon."""
 
 PER_PATH = 6
 """The number of photons per path for which memory is allocated at first."""
@@ -86,8 +87,8 @@ class Photon:
 
 
 def bytes_each(weighted: bool) -> int:
-    """The bytes that a photon takes: as it was stored, once more in its cell, and what is needed to find the cell."""
-    return 4 * (2 * (WORDS + WEIGHTS * weighted) + FOUND)
+    """The bytes that a photon takes: as it was stored, once more in its cell if it has no weights, and to find it."""
+    return 4 * (WORDS + (WEIGHTS if weighted else WORDS) + FOUND)
 
 
 def bytes_of(paths: int, weighted: bool) -> int:
@@ -198,13 +199,17 @@ def edges_and_medium(word: UInt32) -> tuple[Float, UInt32]:
     return Float(word & MOST_EDGES), dr.select(inside, place >> NORMAL_DIGITS, NOWHERE)
 
 
+def normal_in(word: UInt32) -> Normal3f:
+    """The normal of a photon on a surface, by the word of its packet."""
+    return Normal3f(decoded(word >> EDGES_DIGITS, NORMAL_DIGITS))
+
+
 def unpacked(packet: ArrayXf, weights: Vector2f | None, in_media: bool = False) -> Photon:
     """The photon of a packet, and of weights if it has some; `in_media`: whether it knows its medium."""
     x, y, z, word, red, green, blue, way = packet
     bits: Any = dr.reinterpret_array(UInt32, word)
-    n = Normal3f(decoded(UInt32(bits) >> EDGES_DIGITS, NORMAL_DIGITS))
     edges, medium = edges_and_medium(UInt32(bits))
-    photon = Photon(Point3f(x, y, z), n, edges, direction_in(way), Color3f(red, green, blue))
+    photon = Photon(Point3f(x, y, z), normal_in(UInt32(bits)), edges, direction_in(way), Color3f(red, green, blue))
     if in_media:
         photon.medium = medium
     return photon if weights is None else replace(photon, vcm=weights.x, vc=weights.y)

@@ -14,6 +14,7 @@ from djpt.core.transforms import ScalarTransform4f as T
 from djpt.errors import RenderError
 from tests.kit.convergence import assert_equal_means, images
 from tests.kit.media_scenes import GLASS, NULL, colour, fog, foggy_room, lit_ball
+from tests.kit.phases import FLAKES, described
 
 slow = pytest.mark.slow
 POINT = {"type": "point", "position": [2.0, 2.0, 2.0], "intensity": 20.0}
@@ -73,6 +74,17 @@ def test_scenes(name: str) -> None:
     for depth in (4,) if name == "a cube of fog" else (2, 3, 6):
         ours = images(scene, {"type": "bdpt", "max_depth": depth}, 128)
         assert_equal_means(ours, images(scene, {"type": "volpath", "max_depth": depth}, 512, 100), 8, where)
+
+
+@slow
+@pytest.mark.parametrize("name", FLAKES)
+def test_flakes(name: str) -> None:
+    """Media whose extinction depends on the direction."""
+    scene = foggy_room(fog(3.0, 0.8, phase=described(name)))
+    where = without_lamps(scene)
+    for depth in (2, 4):
+        ours = images(scene, {"type": "bdpt", "max_depth": depth}, 256)
+        assert_equal_means(ours, images(scene, {"type": "volpath", "max_depth": depth}, 1024, 100), 8, where)
 
 
 @slow

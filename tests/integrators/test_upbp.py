@@ -23,8 +23,11 @@ from tests.kit.threads import assert_same_for_any_threads
 
 slow = pytest.mark.slow
 
-ALONE: dict[str, dict[str, bool]] = {
-    name: {key: key == name for key in ("points", "beams_of_camera", "beams_of_light")}
+EVERYWHERE: dict[str, Any] = {"merging": "everywhere", "beam_count": 2**11}
+"""Settings with which mergings find the light that connections would."""
+
+ALONE: dict[str, dict[str, Any]] = {
+    name: {**EVERYWHERE, **{key: key == name for key in ("points", "beams_of_camera", "beams_of_light")}}
     for name in ("points", "beams_of_camera", "beams_of_light")
 }
 """The settings with one estimator besides connections."""
@@ -61,7 +64,7 @@ def test_grid_finds_what_rays_meet(length: float, radius: float) -> None:
     origin, direction, long = vectors(o), vectors(d), Float(lengths.astype(np.float32)) + 0
     ray, limit = Ray3f(vectors(ro), vectors(rd)), Float(reach.astype(np.float32)) + 0
     dr.eval(origin, direction, long)
-    cells = Cells(Box.of(low, high), dr.opaque(Float, radius), 24)
+    cells = Cells(Box.of(low, high), dr.opaque(Float, radius))
 
     def of(i: UInt32, there: Bool | bool = True) -> Segment:
         return Segment(*(dr.gather(type(a), a, i, there) for a in (origin, direction, long)))
@@ -106,15 +109,16 @@ def test_grid_finds_what_rays_meet(length: float, radius: float) -> None:
 @pytest.mark.parametrize(
     ("keys", "sigma_t"),
     [
-        ({}, (0.8, 0.8, 0.8)),
-        pytest.param({}, (0.3, 0.8, 1.5), marks=slow),
-        pytest.param({"long_beams": True}, (0.3, 0.8, 1.5), marks=slow),
-        *(pytest.param(keys, (0.3, 0.8, 1.5), marks=slow) for keys in ALONE.values()),
+        (EVERYWHERE, (0.8, 0.8, 0.8)),
+        ({}, (0.3, 0.8, 1.5)),
+        (EVERYWHERE, (0.3, 0.8, 1.5)),
+        ({**EVERYWHERE, "long_beams": True}, (0.3, 0.8, 1.5)),
+        *((keys, (0.3, 0.8, 1.5)) for keys in ALONE.values()),
     ],
     ids=str,
 )
 @pytest.mark.slow
-def test_beam_scattered_once(keys: dict[str, bool], sigma_t: tuple[float, ...]) -> None:
+def test_beam_scattered_once(keys: dict[str, Any], sigma_t: tuple[float, ...]) -> None:
     """The light of a beam on its way up, scattered to the side, and what the fog on both ways leaves of it."""
     scene = beam_in_fog(fog(colour(*sigma_t), colour(0.9, 0.5, 0.2)))
     plugin = {"type": "upbp", "max_depth": 2, "initial_radius": 0.02, "photon_count": 2**15, **keys}
@@ -132,17 +136,19 @@ def test_beam_scattered_once(keys: dict[str, bool], sigma_t: tuple[float, ...]) 
 
 
 @slow
+@pytest.mark.parametrize("keys", [{}, EVERYWHERE], ids=["glossy", "everywhere"])
 @pytest.mark.parametrize("name", [name for name in SCENES if name != "a window"])
-def test_scenes(name: str) -> None:
+def test_scenes(name: str, keys: dict[str, Any]) -> None:
     scene = SCENES[name]()
     where = without_lamps(scene)
-    ours = images(scene, {"type": "upbp", "max_depth": 4, "initial_radius": 0.02, "photon_count": 2**13}, 32)
+    plugin = {"type": "upbp", "max_depth": 4, "initial_radius": 0.02, "photon_count": 2**13, **keys}
+    ours = images(scene, plugin, 32)
     assert_equal_means(ours, images(scene, {"type": "volpath", "max_depth": 4}, 512, 100), 8, where)
 
 
 @slow
-@pytest.mark.parametrize("keys", [{}, *ALONE.values()], ids=str)
-def test_errors_vanish_with_the_radius(keys: dict[str, bool]) -> None:
+@pytest.mark.parametrize("keys", [EVERYWHERE, *ALONE.values()], ids=str)
+def test_errors_vanish_with_the_radius(keys: dict[str, Any]) -> None:
     """Three radii: what they are wrong by falls at least in proportion, or is less than the noise."""
     scene = foggy_room(fog(3.0, 0.8, phase={"type": "hg", "g": 0.5}))
     where = without_lamps(scene)
@@ -155,8 +161,8 @@ def test_errors_vanish_with_the_radius(keys: dict[str, bool]) -> None:
             "initial_radius": radius,
             "alpha": 1.0,
             "photon_count": 2**13,
-            "beam_count": 2**10,
             **keys,
+            "beam_count": 2**10,
         }
         wrong = np.stack(images(scene, plugin, 64)) * where - true
         # The product of two independent differences has no noise in its mean.

@@ -90,13 +90,7 @@ class Look:
 def seen_from(job: Job) -> Seen:
     """The points that the sensor of a job sees, at equal steps over the picture."""
     scene = job.scene
-    number = dr.arange(UInt32, SIDE * SIDE) + dr.opaque(UInt32, 0)
-    row = number // SIDE
-    place = Point2f(Float(number - row * SIDE) + 0.5, Float(row) + 0.5) / SIDE
-    seeds = sample_tea_32(dr.opaque(UInt32, 0), number)
-    # By the same random numbers: through the same point of a lens.
-    sampler = IndependentStream.seeded(*seeds)
-    ray, beside = job.ray_at(place, sampler), job.ray_at(place + Point2f(ASIDE, 0), IndependentStream.seeded(*seeds))
+    ray, sampler, beside = camera_rays(job)
     nothing = Seen(Point3f(0), Normal3f(0, 0, 1), Float(0), Float(0), Bool(False))
     state = wide(Look(ray, sampler, nothing, Bool(True), UInt32(0)), SIDE * SIDE)
 
@@ -122,6 +116,21 @@ def seen_from(job: Job) -> Seen:
     found.beside = dr.norm(dr.fma(beside.d - ray.d, found.distance, beside.o - ray.o))
     dr.eval(found)
     return found
+
+
+def camera_rays(job: Job) -> tuple[Ray3f, IndependentStream, Ray3f]:
+    """Camera rays at equal steps over the picture, their random numbers, and the rays of the next column."""
+    number = dr.arange(UInt32, SIDE * SIDE) + dr.opaque(UInt32, 0)
+    row = number // SIDE
+    place = Point2f(Float(number - row * SIDE) + 0.5, Float(row) + 0.5) / SIDE
+    seeds = sample_tea_32(dr.opaque(UInt32, 0), number)
+    # By the same random numbers: through the same point of a lens.
+    sampler = IndependentStream.seeded(*seeds)
+    return (
+        job.ray_at(place, sampler),
+        sampler,
+        job.ray_at(place + Point2f(ASIDE, 0), IndependentStream.seeded(*seeds)),
+    )
 
 
 def radius_of_crowd(seen: Seen, fill: Callable[[PhotonMap], None], paths: int, wanted: float) -> float:
@@ -166,6 +175,13 @@ FIRST_PATHS = 2**15
 
 OUTSIDE = 0.005
 """The fraction of photons in media that may lie below the box about them along an axis, and above."""
+
+FIRST_EDGES = 2
+"""The edges of camera paths that the box is to hold."""
+
+BESIDE = 0.05
+"""The fraction of their ends that may lie below the box along an axis, and above: a box that holds them all would be
+wide where a few of them leave the scene."""
 
 MARGIN = 2.0
 """What is added to the box on all sides, in relation to the radius."""
@@ -306,7 +322,28 @@ def box_of_photons(job: Job, store: PhotonStore, radius: float) -> Box:
         return Box.of(np.zeros(3), np.zeros(3))
     low, high = np.quantile(places, (OUTSIDE, 1 - OUTSIDE), axis=0)
     # Where light ends at the same place as the box, blurring across its sides would be one-sided.
-    return Box.of(low - MARGIN * radius, high + MARGIN * radius)
+    return crossed(job, Box.of(low - MARGIN * radius, high + MARGIN * radius))
+
+
+def crossed(job: Job, box: Box) -> Box:
+    """The part of a box that most camera paths stay in, on their first edges."""
+    scene, ends = job.scene, []
+    ray, sampler = camera_rays(job)[:2]
+    there = Bool(True)
+    for _ in range(FIRST_EDGES):
+        si = scene.surface_interaction(ray, scene.closest_hit(ray), scene.surface_detail)
+        start, end = box.span(ray.o, ray.d, si.t)
+        passes = there & (start < end)
+        bs, _ = si.bsdf().sample(BSDFContext(), si, sampler.next_1d(), sampler.next_2d(), there)
+        there &= si.is_valid() & (bs.pdf > 0)
+        points = [ray(start), ray(end)]
+        ray = si.spawn_ray(si.to_world(bs.wo))
+        dr.eval(points, passes, ray, there, sampler)
+        ends += [np.array(p).T[np.array(passes)] for p in points]
+    places = np.concatenate(ends)
+    if not len(places):
+        return box
+    return Box.of(*np.quantile(places, (BESIDE, 1 - BESIDE), axis=0))
 
 
 def trace(job: Job, store: PhotonStore, first: float, box: Box | None, number: int) -> PhotonMapping:
