@@ -16,7 +16,8 @@
 from __future__ import annotations
 
 from djpt.errors import SceneError
-from djpt.geometry.bvh.calls.trees import SEARCHES, CompiledTrees, why_not
+from djpt.geometry.bvh.calls.searches import SEARCHES, why_not
+from djpt.geometry.bvh.calls.trees import CompiledTrees
 from djpt.geometry.bvh.steps.trees import StepTrees
 from djpt.geometry.ray_queries import NAMES, VARIABLE, asked_for, ray_queries
 

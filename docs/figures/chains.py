@@ -44,7 +44,7 @@ RAY_QUERY: Rows = (
     ),
     (
         Step("djpt.core.records:PreliminaryIntersection3f", "distance, face, shape"),
-        Step("djpt.geometry.bvh.calls.trees:functions", "machine code: all rays of a packet side by side"),
+        Step("djpt.geometry.bvh.calls.searches:functions", "machine code: all rays of a packet side by side"),
     ),
     (Step("djpt.scene.queries:SceneQueries.surface_interaction", "position, normal, frame, uv of the nearest"),),
 )

@@ -16,7 +16,7 @@ from djpt.core.transforms import ScalarTransform4f as T
 from djpt.errors import SceneError
 from djpt.geometry import engines
 from djpt.geometry.accelerators.brute_force import BruteForce
-from djpt.geometry.bvh.calls import trees
+from djpt.geometry.bvh.calls import searches
 from djpt.geometry.bvh.calls.trees import CompiledTree
 from djpt.geometry.engines import chosen, ray_queries
 from djpt.geometry.query import NONE
@@ -25,7 +25,7 @@ from djpt.jit.types import Bool, Float, Point3f, UInt32, Vector3f
 from tests.kit.axes import unit
 from tests.kit.triangle_soups import SOUPS, sphere
 
-SEARCHES = [search for search in trees.SEARCHES if trees.why_not(search) is None]
+SEARCHES = [search for search in searches.SEARCHES if searches.why_not(search) is None]
 FASTEST = SEARCHES[0] if SEARCHES else "call"
 
 pytestmark = [
@@ -430,9 +430,9 @@ def test_either_way_can_be_forced(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_what_fails_its_test_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(engines.VARIABLE, raising=False)
-    right = trees.call_any
-    monkeypatch.setattr(trees, "call_any", lambda *arguments: ~right(*arguments))
-    assert not any(trees.proof.__wrapped__(search).hits for search in SEARCHES)
+    right = searches.call_any
+    monkeypatch.setattr(searches, "call_any", lambda *arguments: ~right(*arguments))
+    assert not any(searches.proof.__wrapped__(search).hits for search in SEARCHES)
     monkeypatch.setattr(engines, "why_not", lambda _: "rays with known hits got other results")
     assert chosen() == "steps"
     assert not is_called(scene("auto", mesh(sphere(30))))
@@ -444,10 +444,10 @@ def test_a_missing_function_of_the_core_is_told(monkeypatch: pytest.MonkeyPatch)
     def missing(*_: Any) -> Bool:
         raise CallError("this version of Dr.Jit has no calls of functions")
 
-    monkeypatch.setattr(trees, "call_closest", missing)
-    for kept in (trees.why_not, trees.proof):
+    monkeypatch.setattr(searches, "call_closest", missing)
+    for kept in (searches.why_not, searches.proof):
         kept.cache_clear()
     try:
-        assert trees.why_not("call") == "this version of Dr.Jit has no calls of functions"
+        assert searches.why_not("call") == "this version of Dr.Jit has no calls of functions"
     finally:
-        trees.why_not.cache_clear()
+        searches.why_not.cache_clear()

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 import djpt
 from djpt.core.records import Ray3f
-from djpt.geometry.bvh.calls import trees
+from djpt.geometry.bvh.calls import searches
 from djpt.geometry.bvh.calls.faces import FEW, Faces
 from djpt.geometry.bvh.calls.ray import Features
 from djpt.geometry.bvh.calls.trees import CompiledTree
@@ -23,7 +23,7 @@ Floats = NDArray[np.float64]
 
 pytestmark = [
     pytest.mark.narrow,
-    pytest.mark.skipif(all(trees.why_not(search) for search in trees.SEARCHES), reason="calls don't work here"),
+    pytest.mark.skipif(all(searches.why_not(search) for search in searches.SEARCHES), reason="calls don't work here"),
 ]
 
 RNG = np.random.default_rng(3)
@@ -94,7 +94,7 @@ def random_rays(count: int = 1 << 14) -> Ray3f:
 
 def is_swept(loaded: djpt.Scene) -> bool:
     tree = tree_of(loaded)
-    return any(tree.functions.any is trees.functions(f, "sweep").any for f in features())
+    return any(tree.functions.any is searches.functions(f, "sweep").any for f in features())
 
 
 def features() -> list[Features]:

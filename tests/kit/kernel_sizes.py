@@ -126,8 +126,8 @@ def measured() -> dict[str, int]:
     import drjit as dr
 
     from djpt.geometry.bvh.calls.ray import Features
+    from djpt.geometry.bvh.calls.searches import SEARCHES
     from djpt.geometry.bvh.calls.traversal import CLOSEST
-    from djpt.geometry.bvh.calls.trees import SEARCHES
     from djpt.jit.backends import load_backend
     from djpt.jit.llvm.lanes import force_lanes
 

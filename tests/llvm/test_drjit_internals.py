@@ -6,7 +6,7 @@ import pytest
 
 import djpt
 from djpt.geometry.bvh.build.functions import can_compile
-from djpt.geometry.bvh.calls.trees import why_not
+from djpt.geometry.bvh.calls.searches import why_not
 from djpt.jit.llvm import calls, drjit_internals, lanes, masks
 from djpt.jit.llvm.drjit_internals import FUNCTIONS, function, missing
 

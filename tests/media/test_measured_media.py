@@ -13,7 +13,7 @@ import djpt
 from djpt.core.records import Ray3f
 from djpt.core.transforms import ScalarTransform4f as T
 from djpt.geometry.aggregate import MeasuredMedia
-from djpt.geometry.bvh.calls import trees
+from djpt.geometry.bvh.calls import searches
 from djpt.geometry.engines import ray_queries
 from djpt.geometry.triangles import Triangles
 from djpt.integrators.paths.transmittance import are_null, null_transmittance
@@ -25,7 +25,7 @@ from tests.kit.triangle_soups import sphere
 
 pytestmark = [
     pytest.mark.narrow,
-    pytest.mark.skipif(trees.why_not("rings") is not None, reason="only rings measure media"),
+    pytest.mark.skipif(searches.why_not("rings") is not None, reason="only rings measure media"),
 ]
 
 Floats = NDArray[np.float64]

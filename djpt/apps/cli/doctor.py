@@ -59,7 +59,7 @@ import json
 import djpt
 from djpt.errors import DjptError
 try:
-    from djpt.geometry.bvh.calls.trees import SEARCHES, why_not
+    from djpt.geometry.bvh.calls.searches import SEARCHES, why_not
     from djpt.geometry.engines import chosen
     print(json.dumps({"chosen": chosen(), "why_not": {search: why_not(search) for search in SEARCHES}}))
 except DjptError as error:
