@@ -64,8 +64,8 @@ class UnifiedPointsBeamsPaths(VertexConnectionMerging):
 
     Parameters: those of `vcm`; `points`, `beams_of_camera`, `beams_of_light` (default true: use the estimator
     point-point 3D, point-beam 2D, beam-beam 1D), `beam_count` (the light paths of a pass that leave beams, on average,
-    default 2^9, at most `photon_count`), `point_count` (those whose photons beams of the
-    camera look for, on average, default 2^15), `long_beams` (default false; homogeneous media only).
+    default 2^8, at most `photon_count`), `point_count` (those whose photons beams of the
+    camera look for, on average, default 2^13), `long_beams` (default false; homogeneous media only).
 
     J. Křivánek, I. Georgiev, T. Hachisuka, P. Vévoda, M. Šik, D. Nowrouzezahrai and W. Jarosz, "Unifying Points, Beams,
     and Paths in Volumetric Light Transport Simulation", 2014; W. Jarosz, D. Nowrouzezahrai, I. Sadeghi and H. W.
@@ -79,8 +79,8 @@ class UnifiedPointsBeamsPaths(VertexConnectionMerging):
         self.points = props.boolean("points", True)
         self.beams_of_camera = props.boolean("beams_of_camera", True)
         self.beams_of_light = props.boolean("beams_of_light", True)
-        self.point_count = min(props.integer("point_count", 2**15, low=1), self.photon_count)
-        self.beam_count = min(props.integer("beam_count", 2**9, low=1), self.photon_count)
+        self.point_count = min(props.integer("point_count", 2**13, low=1), self.photon_count)
+        self.beam_count = min(props.integer("beam_count", 2**8, low=1), self.photon_count)
         self.long_beams = props.boolean("long_beams", False)
         self._balls: Cells | None = None
         self._capsules: Cells | None = None

@@ -71,8 +71,8 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
     time. So only edges that begin on surfaces with mirrors, glass, or gloss are merged, by default. The vertices of a
     path decide that, so it is the same for all strategies.
 
-    Parameters: those of `bdpt` (without `strategies`) and of all `PhotonMapping`; a camera path has one
-    light path at most. `merging`: the edges of camera paths that are merged, `glossy` (default) or `everywhere`, as in
+    Parameters: those of `bdpt` (without `strategies`) and of all `PhotonMapping` (`photon_count` is 2^16 by
+    default); four camera paths have one light path that leaves photons, at most. `merging`: the edges of camera paths that are merged, `glossy` (default) or `everywhere`, as in
     the literature; the first edge counts among the former with sensors to which light can't be traced.
 
     I. Georgiev, J. Křivánek, T. Davidovič and P. Slusallek, "Light Transport Simulation with Vertex Connection and
@@ -81,8 +81,9 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
     """
 
     pure = True
-    # A photon takes its time at each of the vertices, and first of all connections need many samples.
-    paths_per_sample = 1
+    # Each camera path has a light path of its own besides: photons are for what can't be connected.
+    paths_per_sample = 1 / 4
+    default_photon_count = 2**16
     crowd = 4.0
     weighs_photons = True
 

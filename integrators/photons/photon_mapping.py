@@ -66,7 +66,7 @@ class PhotonMapping(SplattingIntegrator):
     are: a last pass of a few samples would take as many light paths as the others.
     """
 
-    paths_per_sample: ClassVar[int] = 4
+    paths_per_sample: ClassVar[float] = 4
     """The light paths of a pass for each of its camera paths, at most."""
 
     crowd: ClassVar[float] = 32.0

@@ -23,6 +23,9 @@ from tests.kit.threads import assert_same_for_any_threads
 
 KINDS = ("sppm", "vcm")
 
+MERGING: dict[str, dict[str, Any]] = {"sppm": {}, "vcm": {"merging": "everywhere"}}
+"""Settings with which photons are gathered at all vertices."""
+
 
 def image(scene: Any, kind: str, spp: int, seed: int = 0, **keys: Any) -> np.ndarray:
     loaded = djpt.load_dict(scene) if isinstance(scene, dict) else scene
@@ -53,7 +56,7 @@ LIT = {plugin_of(name): name for name in reversed(NAMES) if plugin_of(name) != "
 @pytest.mark.parametrize("plugin", LIT)
 @pytest.mark.parametrize("kind", KINDS)
 def test_lights(kind: str, plugin: str) -> None:
-    assert_close_to_path(floor_scene({"light": entry(LIT[plugin])}, size=16), kind)
+    assert_close_to_path(floor_scene({"light": entry(LIT[plugin])}, size=16), kind, **MERGING[kind])
 
 
 @pytest.mark.parametrize("kind", ["sppm", pytest.param("vcm", marks=pytest.mark.slow)])
@@ -110,7 +113,7 @@ def test_without_photons_vcm_is_bdpt() -> None:
 )
 def test_weights_add_up(heuristic: str, radius: float) -> None:
     """Whether mergings count little or nearly everything."""
-    assert_close_to_path(box(16), "vcm", 5, heuristic=heuristic, initial_radius=radius)
+    assert_close_to_path(box(16), "vcm", 5, heuristic=heuristic, initial_radius=radius, merging="everywhere")
 
 
 def test_coverage_and_hidden_lamps_are_those_of_path() -> None:

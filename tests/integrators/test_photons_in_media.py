@@ -12,6 +12,7 @@ import djpt
 from djpt.core.transforms import ScalarTransform4f as T
 from djpt.errors import RenderError
 from tests.integrators.test_bdpt_media import SCENES, without_lamps
+from tests.integrators.test_photon_mapping import MERGING
 from tests.kit.convergence import assert_equal_means, images
 from tests.kit.media_scenes import colour, fog, foggy_room, lit_ball
 from tests.kit.phases import described
@@ -60,7 +61,7 @@ def beam_in_fog(medium: dict[str, Any]) -> dict[str, Any]:
 def test_beam_scattered_once(kind: str, sigma_t: tuple[float, ...]) -> None:
     """The light of a beam on its way up, scattered to the side, and what the fog on both ways leaves of it."""
     scene = beam_in_fog(fog(colour(*sigma_t), colour(0.9, 0.5, 0.2)))
-    plugin = {"type": kind, "max_depth": 2, "initial_radius": 0.05, "photon_count": 2**15}
+    plugin = {"type": kind, "max_depth": 2, "initial_radius": 0.05, "photon_count": 2**15, **MERGING[kind]}
     each = np.stack([found.mean(axis=1) for found in images(scene, plugin, 512)])
     sigma = np.array(sigma_t)
     height = 0.2 + 0.6 * (np.arange(8)[::-1, None] + 0.5) / 8
@@ -95,7 +96,8 @@ REFUSED = {("sppm", "glowing")}
 def test_scenes(kind: str, name: str) -> None:
     scene = SCENES[name]()
     where = without_lamps(scene)
-    ours = images(scene, {"type": kind, "max_depth": 4, "initial_radius": 0.02, "photon_count": 2**13}, 32)
+    plugin = {"type": kind, "max_depth": 4, "initial_radius": 0.02, "photon_count": 2**13, **MERGING[kind]}
+    ours = images(scene, plugin, 32)
     assert_equal_means(ours, images(scene, {"type": "volpath", "max_depth": 4}, 512, 100), 8, where)
 
 
@@ -109,6 +111,7 @@ def test_errors_vanish_with_the_radius(kind: str) -> None:
     errors = []
     for radius in (0.16, 0.08, 0.04):
         plugin = {"type": kind, "max_depth": 4, "initial_radius": radius, "alpha": 1.0, "photon_count": 2**13}
+        plugin.update(MERGING[kind])
         wrong = np.stack(images(scene, plugin, 256)) * where - true
         # The product of two independent differences has no noise in its mean.
         squared = (wrong[::2].mean(axis=0) * wrong[1::2].mean(axis=0)).mean()

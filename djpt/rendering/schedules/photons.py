@@ -287,7 +287,7 @@ class NearLanes:
 def samples_of_pass(job: Job) -> int:
     """The samples per pixel of a pass: as few as give each camera path `paths_per_sample` light paths, at most."""
     assert isinstance(job.integrator, PhotonMapping)
-    return -(-job.integrator.photon_count // (job.integrator.paths_per_sample * job.width * job.height))
+    return math.ceil(job.integrator.photon_count / (job.integrator.paths_per_sample * job.width * job.height))
 
 
 def first_radius(job: Job, store: PhotonStore) -> float:
