@@ -72,8 +72,9 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
     path decide that, so it is the same for all strategies.
 
     Parameters: those of `bdpt` (without `strategies`) and of all `PhotonMapping` (`photon_count` is 2^16 by
-    default); four camera paths have one light path that leaves photons, at most. `merging`: the edges of camera paths that are merged, `glossy` (default) or `everywhere`, as in
-    the literature; the first edge counts among the former with sensors to which light can't be traced.
+    default); four camera paths have one light path that leaves photons, at most. `merging`: the edges of camera paths
+    that are merged, `glossy` (default) or `everywhere`, as in the literature; the first edge counts among the former
+    with sensors to which light can't be traced.
 
     I. Georgiev, J. Křivánek, T. Davidovič and P. Slusallek, "Light Transport Simulation with Vertex Connection and
     Merging", 2012; T. Hachisuka, J. Pantaleoni and H. W. Jensen, "A Path Space Extension for Robust Light Transport
