@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
 
-from djpt.core.records import Ray3f
+from djpt.core.records import Ray3f, has_flag
+from djpt.core.records.flags import PhaseFunctionFlags
 from djpt.core.records.interactions import MediumInteraction3f
 from djpt.description.plugin import ParamFlags, Plugin
 from djpt.description.properties import Properties
@@ -42,7 +43,9 @@ class Homogeneous(MeasuredMedium):
     default 1), `albedo` (the scattered fraction: a number, rgb or volume in [0, 1], default 0.75), or in place of
     `sigma_t` and `albedo` a `material` (a name of `djpt.media.translucent.MATERIALS`, such as `whole_milk`, per mm), or
     a `color` in [0, 1] (that of a large body of the medium, if light is scattered evenly) with a `radius` (1 / sigma_t,
-    a number or rgb > 0, default 1);
+    a number or rgb > 0, default 1); `asymmetry` (in (-1, 1), in place of a phase function: `sigma_t` and `albedo` are
+    those of a medium whose phase function has this mean cosine, and become those of one that looks the same deep below
+    its surface, and scatters evenly: `djpt.media.translucent.similar`);
     `has_spectral_extinction` (default true; false: `sigma_t` is grey, and a colour's first channel counts), a phase
     function, `sample_emitters` and `emission` (the same everywhere).
     """
@@ -54,6 +57,8 @@ class Homogeneous(MeasuredMedium):
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
+        if "asymmetry" in props and not has_flag(self.phase.flags(), PhaseFunctionFlags.Isotropic):
+            raise props.error("asymmetry", f"takes the place of a phase function, found '{self.phase.id()}'")
         if not self.sigma_t.is_constant:
             raise SceneError(f"{props.node}: 'sigma_t' must be the same everywhere; a 'heterogeneous' medium varies")
         if self.emission is not None and not self.emission.is_constant:

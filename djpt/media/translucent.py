@@ -62,13 +62,16 @@ def albedo_of_color(color: Any, g: float = 0.0) -> NDArray[np.float64]:
 
 
 def translucent(props: Properties) -> tuple[Color3f, Color3f] | None:
-    """The extinction and the albedo of a medium that is described by a `material`, or by `color` and `radius`.
+    """The extinction and the albedo of a medium that is described by a name, or by what it looks like.
 
-    None if it isn't.
+    That is a `material`, `color` and `radius`, or the `asymmetry` of what it is similar to. None if it is none of
+    these.
 
     Raises:
         SceneError: An unknown material, numbers out of range, or two descriptions of one medium.
     """
+    if "asymmetry" in props:
+        return similar(props)
     given = [key for key in ("material", "color", "sigma_t", "albedo") if key in props]
     named = next((key for key in given if key in ("material", "color")), None)
     if named is None:
@@ -89,6 +92,26 @@ def translucent(props: Properties) -> tuple[Color3f, Color3f] | None:
         raise props.error("radius", f"must be positive, found {radius.tolist()}")
     color = rgb(props, "color", 0.5, high=1.0)
     return color3(1 / radius), color3(albedo_of_color(color))
+
+
+def similar(props: Properties) -> tuple[Color3f, Color3f]:
+    """The reduced `sigma_t` and `albedo` of a description whose own belong to a phase function of a mean cosine g.
+
+    With the albedo a it is sigma_t (1 - a g), and (1 - g) a / (1 - a g): the same absorption, and light that is
+    scattered evenly but (1 - g) times as often.
+
+    D. R. Wyman, M. S. Patterson and B. C. Wilson, "Similarity Relations for the Interaction Parameters in Radiation
+    Transport", 1989.
+    """
+    for key in ("material", "color"):
+        if key in props:
+            raise props.error("asymmetry", f"and '{key}' can't be combined: its coefficients are reduced already")
+    g = props.float("asymmetry", low=-1.0, high=1.0, low_open=True, high_open=True)
+    sigma_t, albedo = rgb(props, "sigma_t", 1.0), rgb(props, "albedo", 0.75, high=1.0)
+    for key in ("sigma_t", "albedo"):
+        if key in props:
+            del props[key]
+    return color3(sigma_t * (1 - albedo * g)), color3((1 - g) * albedo / (1 - albedo * g))
 
 
 def color3(numbers: NDArray[np.float64]) -> Color3f:

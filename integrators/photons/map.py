@@ -14,23 +14,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
 
 from djpt.integrators.photons.cells import Box
-from djpt.integrators.photons.photon import (
-    MOST_EDGES,
-    NOWHERE,
-    WORDS,
-    Photon,
-    PhotonStore,
-    edges_and_medium,
-    memory_for,
-    normal_in,
-    unpacked,
-)
+from djpt.integrators.photons.photon import MOST_EDGES, NOWHERE, WORDS, Photon, PhotonStore, memory_for, unpacked
 from djpt.jit.kernels import as_float, while_loop, wide
 from djpt.jit.types import (
     Array4f,
@@ -53,7 +42,7 @@ __all__ = ["FACING", "PhotonMap"]
 DIGITS = 32
 """Fractional bits of sums, in units of a typical colour: the integer part has as many, less one."""
 
-LENGTH = 1.0
+LENGTH = 1 / 2
 """The length of a cell along x, in relation to the radius."""
 
 WIDTH = 2.0
@@ -62,7 +51,7 @@ WIDTH = 2.0
 SHIFT = 0.382
 """Position of the origin in its cell along y and z: floors at 0 are common, and shouldn't lie between two cells."""
 
-MOST_ALONG, MOST_ACROSS = 4, 4
+MOST_ALONG, MOST_ACROSS = 6, 4
 """The cells along x, and along y or z, that a ball may reach into: one more than fit, since numbers are rounded."""
 
 FLATNESS = 0.1
@@ -71,32 +60,17 @@ FLATNESS = 0.1
 FACING = 0.5
 """The least cosine of a photon's normal to the surface's: those on walls don't count for the floor below."""
 
+AT_ONCE = 4
+"""Photons that a lane reads between two tests for the end of its run."""
+
 FAR = 2**30
 """The number of the last cell along an axis: it also holds everything beyond."""
 
 FEWEST = 2**10
 """Hash values of a map with few photons."""
 
-PER_PHOTON = 2
-"""Hash values for each photon, at least: with fewer, a lane reads more photons of other places than of its own."""
-
 ALONG_Y, ALONG_Z = 19349663, 83492791
 """Growth of the hash from cell to cell; by 1 along x. No two cells that a ball reaches into have equal hashes."""
-
-
-@dataclass
-class Row:
-    """Loop state of a lane that looks for photons about its point, row by row."""
-
-    y: Int32
-    z: Int32
-    i: UInt32
-    """The next photon of the row, and one past the last."""
-    end: UInt32
-    found: UInt32
-    """The number of the last photon that was looked at."""
-    near: Bool
-    """True if it counts."""
 
 
 class PhotonMap:
@@ -135,7 +109,7 @@ class PhotonMap:
         looked at.
         """
         self.in_media = store.in_media
-        values = max(FEWEST, 1 << (PER_PHOTON * count - 1).bit_length())
+        values = max(FEWEST, 1 << (count - 1).bit_length())
         self._mask, self._count = dr.opaque(UInt32, values - 1), dr.opaque(UInt32, count)
         counts = dr.opaque(UInt32, 0, values)
         if count:
@@ -189,6 +163,13 @@ class PhotonMap:
         beside: Float = dr.maximum(low - c, c - low - self._width)
         return dr.select(beside > 0, beside, Float(0))
 
+    def _of_run(self, i: UInt32, there: Bool, lanes: int) -> Photon:
+        """A photon of a run."""
+        number = dr.select(i < self._count, i, i - self._count)
+        return self.photon(
+            number if self._order is None else dr.gather(UInt32, self._order, number, there), there, lanes
+        )
+
     def photon(self, i: UInt32, there: Bool, lanes: int) -> Photon:
         """The photon of a number."""
         packet = dr.gather(ArrayXf, self._photons, i, there, shape=(WORDS, lanes))
@@ -213,9 +194,9 @@ class PhotonMap:
             dr.minimum(self.radius, self.radius * dr.safe_sqrt(1 - dr.square(c)) + self.height * dr.abs(c)) for c in n
         ]
 
-        def belongs(to: Vector3f, word: UInt32) -> Bool:
-            on_surface = (dr.abs(dr.dot(to, n)) <= self.height) & (dr.dot(normal_in(word), n) >= FACING)
-            return on_surface & (edges_and_medium(word)[1] == NOWHERE) if self.in_media else on_surface
+        def belongs(photon: Photon, to: Vector3f) -> Bool:
+            on_surface = (dr.abs(dr.dot(to, n)) <= self.height) & (dr.dot(photon.n, n) >= FACING)
+            return on_surface if photon.medium is None else on_surface & (photon.medium == NOWHERE)
 
         return self._sum(p, reach, edges, active, belongs, worth)
 
@@ -233,8 +214,9 @@ class PhotonMap:
         """
         reach = [self.radius] * 3
 
-        def belongs(to: Vector3f, word: UInt32) -> Bool:
-            return edges_and_medium(word)[1] == medium
+        def belongs(photon: Photon, to: Vector3f) -> Bool:
+            assert photon.medium is not None
+            return photon.medium == medium
 
         return self._per_depth * self._sum(p, reach, edges, active, belongs, worth)
 
@@ -244,13 +226,13 @@ class PhotonMap:
         reach: list[Float],
         edges: UInt32,
         active: Bool,
-        belongs: Callable[[Vector3f, UInt32], Bool],
+        belongs: Callable[[Photon, Vector3f], Bool],
         worth: Callable[[Photon], Color3f],
     ) -> Color3f:
         """The sum over the photons of a ball, over the area of its disk and the number of light paths.
 
-        `reach` is how far those that count lie from its centre along x, y and z; `belongs` tells by the
-        vector to a photon and by the word of its packet whether it counts.
+        `reach` is how far those that count lie from its centre along x, y and z; `belongs` tells by a photon and
+        the vector to it whether it counts.
         """
         lanes = dr.width(p, active)
         most = Float(dr.minimum(edges, MOST_EDGES))
@@ -259,37 +241,31 @@ class PhotonMap:
         y1 = dr.minimum(self._across(p.y + y), y0 + (MOST_ACROSS - 1))
         z1 = dr.minimum(self._across(p.z + z), z0 + (MOST_ACROSS - 1))
 
-        def number(i: UInt32, there: Bool) -> UInt32:
-            i = dr.select(i < self._count, i, i - self._count)
-            return i if self._order is None else dr.gather(UInt32, self._order, i, there)
+        def add(i: UInt32, there: Bool, total: list[Int64]) -> list[Int64]:
+            photon = self._of_run(i, there, lanes)
+            to = photon.p - p
+            counts = there & belongs(photon, to) & (dr.squared_norm(to) <= self._square) & (photon.edges <= most)
+            return self.added(total, counts, worth(photon))
 
-        def seek(row: Row) -> tuple[Row]:
-            there = row.i < row.end
-            photon = number(row.i, there)
-            at, word = self.position(photon, there)
-            to = at - p
-            near = there & (dr.squared_norm(to) <= self._square) & belongs(to, word)
-            near &= Float(word & MOST_EDGES) <= most
-            i = dr.select(there, row.i + 1, row.i)
+        def step(y: Int32, z: Int32, i: UInt32, end: UInt32, total: list[Int64]) -> tuple[Any, ...]:
+            for _ in range(AT_ONCE):
+                there = i < end
+                total = add(i, there, total)
+                i = dr.select(there, i + 1, i)
             # The next row, where this one has no more photons.
-            done, last = i >= row.end, row.y >= y1
-            z = dr.select(done & last, row.z + 1, row.z)
-            y = dr.select(done, dr.select(last, y0, row.y + 1), row.y)
+            done, last = i >= end, y >= y1
+            z = dr.select(done & last, z + 1, z)
+            y = dr.select(done, dr.select(last, y0, y + 1), y)
             start, stop = self._run(p, x, y, z, done & (z <= z1))
-            return (Row(y, z, dr.select(done, start, i), dr.select(done, stop, row.end), photon, near),)
-
-        def body(row: Row, total: list[Int64]) -> tuple[Row, list[Int64]]:
-            row = replace(row, near=dr.full(Bool, False, lanes))
-            (row,) = while_loop((row,), lambda row: (row.z <= z1) & ~row.near, seek, label="photons of rows")
-            photon = self.photon(row.found, row.near, lanes)
-            return row, self.added(total, row.near, worth(photon))
+            return y, z, dr.select(done, start, i), dr.select(done, stop, end), total
 
         # A lane ends behind the last row.
         z0 = dr.select(active, z0, z1 + 1)
         start, stop = self._run(p, x, y0, z0, active)
-        row = wide(Row(y0, z0, start, stop, UInt32(0), Bool(False)), lanes)
-        _, total = while_loop((row, self.zero(lanes)), lambda row, total: row.z <= z1, body, label="photons")
-        return self.color(total)
+        sums = self.zero(lanes)
+        state = (wide(y0, lanes), wide(z0, lanes), wide(start, lanes), wide(stop, lanes), sums)
+        done = while_loop(state, lambda y, z, i, end, total: z <= z1, step, label="photons")
+        return self.color(done[4])
 
     def position(self, i: UInt32, there: Bool) -> tuple[Point3f, UInt32]:
         """The position of a photon by its number, and what its word says: see `djpt.integrators.photons.photon`."""

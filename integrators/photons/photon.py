@@ -26,7 +26,6 @@ __all__ = [
     "direction_in",
     "edges_and_medium",
     "memory_for",
-    "normal_in",
     "require_memory",
     "unpacked",
     "word_of",
@@ -38,9 +37,9 @@ WORDS = 8
 WEIGHTS = 2
 """Additional words of photons that have weights."""
 
-FOUND = 15
+FOUND = 9
 """The words per photon, at most, that it takes to find its cell: its hash value, its number among those that have it,
-its place in their order, and three for each hash value, of which there are less than four to a photon."""
+its place in their order, and three for each hash value, of which there are less than two to a photon."""
 
 PER_PATH = 6
 """The number of photons per path for which memory is allocated at first."""
@@ -199,17 +198,13 @@ def edges_and_medium(word: UInt32) -> tuple[Float, UInt32]:
     return Float(word & MOST_EDGES), dr.select(inside, place >> NORMAL_DIGITS, NOWHERE)
 
 
-def normal_in(word: UInt32) -> Normal3f:
-    """The normal of a photon on a surface, by the word of its packet."""
-    return Normal3f(decoded(word >> EDGES_DIGITS, NORMAL_DIGITS))
-
-
 def unpacked(packet: ArrayXf, weights: Vector2f | None, in_media: bool = False) -> Photon:
     """The photon of a packet, and of weights if it has some; `in_media`: whether it knows its medium."""
     x, y, z, word, red, green, blue, way = packet
     bits: Any = dr.reinterpret_array(UInt32, word)
+    n = Normal3f(decoded(UInt32(bits) >> EDGES_DIGITS, NORMAL_DIGITS))
     edges, medium = edges_and_medium(UInt32(bits))
-    photon = Photon(Point3f(x, y, z), normal_in(UInt32(bits)), edges, direction_in(way), Color3f(red, green, blue))
+    photon = Photon(Point3f(x, y, z), n, edges, direction_in(way), Color3f(red, green, blue))
     if in_media:
         photon.medium = medium
     return photon if weights is None else replace(photon, vcm=weights.x, vc=weights.y)

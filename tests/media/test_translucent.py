@@ -10,7 +10,8 @@ import pytest
 import djpt
 from djpt.errors import SceneError
 from djpt.media.translucent import albedo_of_color
-from tests.kit.media_scenes import colour
+from tests.kit.convergence import images
+from tests.kit.media_scenes import colour, fog, lit_ball
 
 
 def values(**keys: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -48,6 +49,29 @@ def reflectance(albedo: float) -> float:
 def test_body_has_the_color(color: float) -> None:
     """The closed form of a half space with the albedo of a colour has that colour."""
     assert reflectance(float(albedo_of_color(color))) == pytest.approx(color, abs=0.01)
+
+
+def test_asymmetry_reduces_coefficients() -> None:
+    """Absorption stays, scattering is (1 - g) times as frequent; two descriptions of one thing are refused."""
+    sigma_t, albedo = values(sigma_t=colour(24, 26, 30), albedo=colour(0.9, 0.5, 0.0), asymmetry=0.7)
+    np.testing.assert_allclose(sigma_t * (1 - albedo), [2.4, 13, 30], rtol=1e-5)
+    np.testing.assert_allclose(sigma_t * albedo, [0.3 * 21.6, 0.3 * 13, 0], rtol=1e-5)
+    np.testing.assert_allclose(values(asymmetry=0.0)[0], 1)
+    with pytest.raises(SceneError, match="takes the place of a phase function"):
+        values(asymmetry=0.5, phase={"type": "hg"})
+    with pytest.raises(SceneError, match=r"'asymmetry'.*'material'"):
+        values(asymmetry=0.5, material="marble")
+
+
+@pytest.mark.slow
+def test_asymmetry_looks_the_same() -> None:
+    """A dense ball that scatters forward under a white sky, and what is similar to it."""
+    dense = fog(30.0, 0.995)
+    plugin = {"type": "volpath", "max_depth": 400, "rr_depth": 400}
+    forward = np.stack(images(lit_ball({**dense, "phase": {"type": "hg", "g": 0.7}}), plugin, 256))
+    even = np.stack(images(lit_ball({**dense, "asymmetry": 0.7}), plugin, 256, 100))
+    centre = (slice(None), slice(6, 10), slice(6, 10))
+    assert even[centre].mean() == pytest.approx(forward[centre].mean(), rel=0.02)
 
 
 def test_forward_scattering_is_similar() -> None:
