@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import djpt  # isort: skip (first: it finds the LLVM library that Dr.Jit opens)
+import math
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import drjit as dr
@@ -39,6 +42,20 @@ class Problem:
     """For ``least_squares``: how often the picture is halved at first."""
     differences: float = 0.0
     """For ``least_squares``: the distance over which images are compared; 0: derivatives."""
+    frozen: bool = False
+    """For ``least_squares``: whether images and derivatives are traced once."""
+    fewer: int = 1
+    """For ``least_squares``: by what the samples per pixel are divided, of which more images are averaged then."""
+    views: int = 1
+    """The number of sensors whose pictures are compared."""
+    few: int = 0
+    """For ``least_squares``: the number of unknowns that it uses in place of all, zero at the start; 0: all."""
+    spread: Callable[[np.ndarray], np.ndarray] | None = None
+    """All unknowns as a function of the few."""
+    seen: Callable[[np.ndarray], np.ndarray] = np.asarray
+    """What is compared with that of the truth."""
+    uniform: bool = False
+    """Whether Adam's steps are divided by the largest gradient, as large steps on meshes need."""
     iterations: int = 60
     """The most steps of djpt."""
     steps: int = 120
@@ -95,6 +112,8 @@ def paints() -> Problem:
         (0.02, 0.05, 0.1),
         (0.0, 1.0),
         "least_squares",
+        frozen=True,
+        fewer=2,
         spp=16,
     )
 
@@ -191,6 +210,8 @@ def environment() -> Problem:
         (0.0, 20.0),
         "least_squares",
         spp=16,
+        fewer=2,
+        iterations=24,
     )
 
 
@@ -230,6 +251,7 @@ def pose() -> Problem:
         (0.01, 0.02, 0.05),
         (-2.0, 2.0),
         "least_squares",
+        fewer=4,
         spp=16,
         coarse=3,
         differences=0.15,
@@ -279,6 +301,7 @@ def roughness() -> Problem:
         (0.01, 0.03, 0.06),
         (0.05, 1.0),
         "least_squares",
+        frozen=True,
         spp=16,
     )
 
@@ -330,6 +353,8 @@ def normals() -> Problem:
         (0.02, 0.05, 0.1),
         (-1.0, 1.0),
         "least_squares",
+        frozen=True,
+        fewer=2,
         spp=16,
         iterations=12,
     )
@@ -367,9 +392,251 @@ def material() -> Problem:
         (0.01, 0.03, 0.06),
         (0.05, 1.0),
         "least_squares",
+        fewer=4,
         spp=16,
         differences=0.1,
         iterations=16,
+    )
+
+
+VIEW = np.array([0.35, -0.2, 0.25, 0.2, -0.15, 0.15], np.float32)
+PATTERN = np.random.default_rng(4).uniform(0.1, 0.9, (12, 12, 3)).astype(np.float32)
+
+
+def looked_at(size: int) -> dict[str, Any]:
+    """Balls on a painted floor, for a camera that moves."""
+    paint = {"type": "bitmap", "data": PATTERN, "raw": True, "filter_type": "bilinear"}
+    placed = [(0.8, 0.3, 0.6, [0.8, 0.2, 0.1]), (-0.7, 0.8, 0.45, [0.1, 0.3, 0.8]), (-0.2, -0.9, 0.7, [0.8, 0.7, 0.2])]
+    balls = {
+        f"ball{k}": {
+            "type": "sphere",
+            "center": [x, y, radius],
+            "radius": radius,
+            "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": colour}},
+        }
+        for k, (x, y, radius, colour) in enumerate(placed)
+    }
+    return {
+        "type": "scene",
+        "integrator": {"type": "direct_projective", "sppi": 0},
+        "sensor": {"type": "perspective", "fov": 38, "film": film(size)},
+        "floor": {"type": "rectangle", "to_world": T().scale(2.2), "bsdf": {"type": "diffuse", "reflectance": paint}},
+        "sky": {"type": "constant", "radiance": 0.5},
+        "light": {"type": "point", "position": [2.0, -1.0, 5.0], "intensity": 30.0},
+        **balls,
+    }
+
+
+def apply_view(module: Any, params: Any, x: Any) -> None:
+    """Turn the camera about the scene by two angles, about its own axis by one, and move it by three lengths."""
+    a = [dr.gather(module.Float, x, module.UInt32(i)) for i in range(6)]
+    turned = module.Transform4f().translate([0, 0, 0.4])
+    turned = turned.rotate([0, 0, 1], 40 + a[0] * (180 / math.pi)).rotate([0, 1, 0], -30 + a[1] * (180 / math.pi))
+    looking = module.Transform4f().look_at([7, 0, 0], [0, 0, 0], [0, 0, 1])
+    moved = turned @ looking.rotate([0, 0, 1], a[2] * (180 / math.pi)).translate([a[3], a[4], 3 * a[5]])
+    params["sensor.to_world"] = moved
+
+
+def view() -> Problem:
+    """The pose of a camera."""
+    return Problem(
+        "camera pose",
+        "Where a camera was, six numbers: two angles about the scene, one about its own axis, and three lengths.",
+        looked_at,
+        VIEW,
+        np.zeros_like(VIEW),
+        apply_view,
+        "Float",
+        (0.01, 0.02, 0.05),
+        (-1.0, 1.0),
+        "least_squares",
+        fewer=4,
+        spp=16,
+        coarse=3,
+        differences=0.1,
+        iterations=16,
+        steps=80,
+    )
+
+
+SMOKE = np.random.default_rng(3).uniform(0.1, 1.2, (4, 4, 4, 1)).astype(np.float32)
+DENSITY = "body.interior_medium.sigma_t.data"
+
+
+def smoke(size: int) -> dict[str, Any]:
+    """A cloud before a bright sky with a lamp, seen from four sides."""
+    grid = {"type": "gridvolume", "data": SMOKE, "to_world": T().translate([-1, -1, -1]).scale(2)}
+    views = {
+        f"view{k}": {
+            "type": "perspective",
+            "fov": 40,
+            "film": film(size),
+            "to_world": T().look_at([4.2 * math.cos(a), 4.2 * math.sin(a), 1.5 - k], [0, 0, 0], [0, 0, 1]),
+        }
+        for k, a in enumerate(np.linspace(0.3, 0.3 + 1.5 * math.pi, 4).tolist())
+    }
+    return {
+        "type": "scene",
+        "integrator": {"type": "prbvolpath", "max_depth": 4, "rr_depth": 10},
+        "sensor": {"type": "batch", "film": {**film(size), "width": 4 * size}, **views},
+        "body": {
+            "type": "cube",
+            "bsdf": {"type": "null"},
+            "interior": {"type": "heterogeneous", "albedo": 0.6, "sigma_t": grid, "scale": 1.0},
+        },
+        "sky": {"type": "constant", "radiance": 0.5},
+        "light": {"type": "point", "position": [2, -2, 3], "intensity": 30.0},
+    }
+
+
+def apply_smoke(module: Any, params: Any, x: Any) -> None:
+    """The density of the smoke."""
+    params[DENSITY] = x
+
+
+def volume() -> Problem:
+    """The density of a volume."""
+    return Problem(
+        "volume density",
+        "4 x 4 x 4 densities of a cloud, from four sides. Light is scattered up to three times.",
+        smoke,
+        SMOKE,
+        np.full_like(SMOKE, 0.6),
+        apply_smoke,
+        "TensorXf",
+        (0.02, 0.05, 0.1),
+        (0.01, 10.0),
+        "gauss_newton",
+        keys=(DENSITY,),
+        spp=16,
+        size=32,
+        iterations=20,
+    )
+
+
+def icosphere(times: int) -> tuple[np.ndarray, np.ndarray]:
+    """The vertices (V, 3) and faces (F, 3) of an icosahedron whose faces were divided into four, on the unit sphere."""
+    g = (1 + 5**0.5) / 2
+    corners = [[-1, g, 0], [1, g, 0], [-1, -g, 0], [1, -g, 0], [0, -1, g], [0, 1, g]]
+    points = [np.array(p) / np.hypot(1, g) for p in [*corners, [0, -1, -g], [0, 1, -g], [g, 0, -1], [g, 0, 1]]]
+    points += [np.array(p) / np.hypot(1, g) for p in ([-g, 0, -1], [-g, 0, 1])]
+    faces = [(0, 11, 5), (0, 5, 1), (0, 1, 7), (0, 7, 10), (0, 10, 11), (1, 5, 9), (5, 11, 4), (11, 10, 2)]
+    faces += [(10, 7, 6), (7, 1, 8), (3, 9, 4), (3, 4, 2), (3, 2, 6), (3, 6, 8), (3, 8, 9), (4, 9, 5)]
+    faces += [(2, 4, 11), (6, 2, 10), (8, 6, 7), (9, 8, 1)]
+    for _ in range(times):
+        middles = dict[tuple[int, int], int]()
+
+        def middle(a: int, b: int, middles: dict[tuple[int, int], int] = middles) -> int:
+            if (edge := (min(a, b), max(a, b))) not in middles:
+                middles[edge] = len(points)
+                points.append((points[a] + points[b]) / np.linalg.norm(points[a] + points[b]))
+            return middles[edge]
+
+        divided = [(a, b, c, middle(a, b), middle(b, c), middle(c, a)) for a, b, c in faces]
+        faces = [f for a, b, c, d, e, g in divided for f in ((a, d, g), (b, e, d), (c, g, e), (d, e, g))]
+    return np.array(points, np.float32), np.array(faces)
+
+
+BALL, FACES = icosphere(2)
+SMOOTH = djpt.ad.LargeSteps(BALL, FACES, 5.0)
+"""Large steps: the vertices by their differential coordinates."""
+BUMPS = [([0.3, 0.5, 0.8], 0.5), ([-0.8, -0.3, 0.4], 0.35), ([0.6, -0.7, -0.2], 0.4), ([-0.2, 0.7, -0.6], 0.3)]
+
+
+def radius(directions: np.ndarray) -> np.ndarray:
+    """How far the true shape's surface is from its centre, in unit directions (N, 3)."""
+    near = [(height, directions @ (np.array(way) / np.linalg.norm(way))) for way, height in BUMPS]
+    return 0.8 + sum(height * np.exp(-3 * (1 - cosine)) for height, cosine in near)
+
+
+def differential(vertices: np.ndarray) -> np.ndarray:
+    """The differential coordinates of vertices (V, 3)."""
+    return np.array(SMOOTH.to_differential(djpt.Float(np.ascontiguousarray(vertices, np.float32).ravel())))
+
+
+def radii(x: np.ndarray) -> np.ndarray:
+    """How far the vertices are from the centre, relative to the true surface there."""
+    vertices = np.array(SMOOTH.from_differential(djpt.TensorXf(np.asarray(x, np.float32).reshape(BALL.shape))))
+    lengths = np.linalg.norm(vertices, axis=1)
+    return lengths / radius(vertices / lengths[:, None])
+
+
+def waves(count: int) -> np.ndarray:
+    """The smoothest functions (V, count) on the ball's vertices, mean square 1: of its mesh's Laplacian."""
+    (rows, columns), values = djpt.ad.largesteps.mesh_laplacian(len(BALL), FACES, 1.0)
+    laplacian = np.zeros((len(BALL), len(BALL)))
+    np.add.at(laplacian, (rows, columns), values)
+    return np.linalg.eigh(laplacian)[1][:, :count] * len(BALL) ** 0.5
+
+
+WAVES = waves(25)
+
+
+def waved(few: np.ndarray) -> np.ndarray:
+    """The differential coordinates of a ball whose vertices have moved outwards by so much of each wave."""
+    return differential(BALL * (1 + WAVES @ few)[:, None])
+
+
+def bumpy_body(size: int) -> dict[str, Any]:
+    """A body of triangles in a lamp's light, before a dark sky, seen from four sides."""
+    folder = Path(tempfile.mkdtemp())
+    # Not OBJ: it is read in the order in which faces name vertices.
+    head = f"ply\nformat ascii 1.0\nelement vertex {len(BALL)}\n"
+    head += "".join(f"property float {axis}\n" for axis in "xyz")
+    head += f"element face {len(FACES)}\nproperty list uchar int vertex_index\nend_header\n"
+    lines = [f"{x} {y} {z}" for x, y, z in BALL.tolist()] + [f"3 {a} {b} {c}" for a, b, c in FACES]
+    (folder / "ball.ply").write_text(head + "\n".join(lines) + "\n")
+    views = {
+        f"sensor{k}": camera(size, [5 * math.cos(a), 5 * math.sin(a), 3 * (-1) ** k], [0, 0, 0], 32)
+        for k, a in enumerate(np.linspace(0.3, 0.3 + 1.5 * math.pi, 4).tolist())
+    }
+    return {
+        "type": "scene",
+        "integrator": {"type": "direct_projective", "sppi": 0},
+        **views,
+        "body": {
+            "type": "ply",
+            "filename": str(folder / "ball.ply"),
+            "face_normals": True,
+            "bsdf": {"type": "diffuse", "reflectance": 0.6},
+        },
+        "sky": {"type": "constant", "radiance": 0.1},
+        "light": {"type": "point", "position": [3, -3, 5], "intensity": 40.0},
+        "other": {"type": "point", "position": [-4, 3, -4], "intensity": 40.0},
+    }
+
+
+def apply_shape(module: Any, params: Any, x: Any) -> None:
+    """The vertices of the body, from their differential coordinates."""
+    params["body.vertex_positions"] = dr.ravel(SMOOTH.from_differential(x))
+
+
+def shape() -> Problem:
+    """A shape, by large steps."""
+    return Problem(
+        "shape by large steps",
+        "The 162 vertices of a body that begins as a ball, from four sides. Mitsuba: Adam on differential coordinates "
+        "(Nicolet et al. 2021). djpt: the 25 smoothest waves of its mesh, each in images on both sides. The error is "
+        "that of the vertices' distances from the centre.",
+        bumpy_body,
+        differential(BALL * radius(BALL)[:, None]),
+        differential(BALL),
+        apply_shape,
+        "TensorXf",
+        (0.03, 0.06, 0.1),
+        (-50.0, 50.0),
+        "least_squares",
+        spp=16,
+        few=25,
+        spread=waved,
+        seen=radii,
+        uniform=True,
+        views=4,
+        coarse=2,
+        differences=0.2,
+        fewer=4,
+        size=48,
+        iterations=9,
     )
 
 
@@ -381,4 +648,7 @@ PROBLEMS: dict[str, Callable[[], Problem]] = {
     "roughness": roughness,
     "normals": normals,
     "material": material,
+    "view": view,
+    "volume": volume,
+    "shape": shape,
 }

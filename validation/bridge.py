@@ -101,9 +101,9 @@ def to_mitsuba(scene: Mapping[str, Any]) -> dict[str, Any]:
     """`scene` with djpt's values replaced by those that Mitsuba's `load_dict` takes.
 
     Transforms (ours, NumPy 4 x 4, nested lists) become `mitsuba.ScalarTransform4f`; Dr.Jit and NumPy scalars and
-    short arrays become Python's. An `envmap`'s `data` becomes a bitmap, `sobol` becomes `independent`, and
-    `emitter_choice` is left out: the image keeps its mean. Mitsuba's own objects stay. `scene` is not modified.
-    Raises `ComparisonError` for djpt's plugin objects, which only djpt can render.
+    short arrays become Python's. An `envmap`'s `data` becomes a bitmap, a `gridvolume`'s a grid, `sobol` becomes
+    `independent`, and `emitter_choice` is left out: the image keeps its mean. Mitsuba's own objects stay. `scene` is
+    not modified. Raises `ComparisonError` for djpt's plugin objects, which only djpt can render.
     """
     with _variant() as mi:
         return {key: _value(mi, value, f"scene.{key}") for key, value in scene.items()}
@@ -146,6 +146,9 @@ def _in_its_words(mi: Any, node: Mapping[str, Any]) -> dict[str, Any]:
         known["bitmap"] = mi.Bitmap(np.array(pixels, np.float32))
     elif isinstance(known.get("bitmap"), np.ndarray):
         known["bitmap"] = mi.Bitmap(np.ascontiguousarray(known["bitmap"]))
+    elif known.get("type") == "gridvolume" and pixels is not None:
+        del known["data"]
+        known["grid"] = mi.VolumeGrid(np.array(pixels, np.float32))
     elif known.get("type") == "bitmap" and pixels is not None:
         # A copy: Mitsuba takes the memory of tensors that it is given.
         known["data"] = mi.TensorXf(np.array(pixels, np.float32))

@@ -61,8 +61,15 @@ LIBRARIES = {"against_mitsuba": ("mitsuba",), "pytorch_and_jax": ("torch", "jax"
 """What notebooks need besides djpt: one of these."""
 
 
+LONG = {"room_from_photographs"}
+"""Notebooks that take more than ten seconds."""
+
+
 @pytest.mark.sparse(6)
-@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "notebook",
+    [pytest.param(path, marks=[pytest.mark.slow] * (path.stem in LONG), id=path.stem) for path in NOTEBOOKS],
+)
 def test_a_notebook_runs(notebook: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     libraries = LIBRARIES.get(notebook.stem, ())
     if libraries and not any(map(importlib.util.find_spec, libraries)):

@@ -9,7 +9,7 @@ import pytest
 
 import djpt
 from djpt.apps.optimization import least_squares
-from djpt.apps.optimization.least_squares import halved
+from djpt.apps.optimization.passes import halved
 from djpt.errors import RenderError
 
 
@@ -88,3 +88,33 @@ def test_differences_know_of_edges() -> None:
     assert abs(found.average["end"].item() - 0.3) < 0.02
     with pytest.raises(RenderError, match="'differences' is given for 'start', not one of the variables"):
         least_squares(residual, {"end": djpt.Float(0.75)}, differences={"start": 0.2})
+
+
+def test_frozen_functions_give_the_same_steps() -> None:
+    """A texture of 3 x 3 texels of a rectangle, with 4 images averaged in the end."""
+    texels = np.random.default_rng(1).uniform(0.2, 0.8, (3, 3, 1)).astype(np.float32)
+    film = {"type": "hdrfilm", "width": 8, "height": 8, "rfilter": {"type": "box"}}
+    paint = {"type": "diffuse", "reflectance": {"type": "bitmap", "data": texels, "raw": True}}
+    place = djpt.ScalarTransform4f().look_at([0, 0, 3], [0, 0, 0], [0, 1, 0])
+    scene = djpt.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "prb", "max_depth": 2},
+            "sensor": {"type": "perspective", "fov": 40, "to_world": place, "film": film},
+            "floor": {"type": "rectangle", "bsdf": paint},
+            "light": {"type": "constant"},
+        }
+    )
+    target = djpt.render(scene, spp=16, seed=99)
+
+    def residual(variables: Any, seed: Any) -> Any:
+        params = djpt.traverse(scene)
+        params["floor.bsdf.reflectance.data"] = variables["x"]
+        params.update()
+        return djpt.render(scene, params, spp=2, seed=seed) - target
+
+    start = {"x": djpt.TensorXf(np.full_like(texels, 0.5))}
+    plain, frozen = (least_squares(residual, start, iterations=4, frozen=frozen) for frozen in (False, True))
+    assert np.allclose(plain.losses, frozen.losses, rtol=1e-4) and plain.taken_back == frozen.taken_back
+    assert np.allclose(plain.average["x"], frozen.average["x"], atol=1e-4)
+    assert np.abs(frozen.average["x"] - texels).mean() < 0.6 * np.abs(0.5 - texels).mean()

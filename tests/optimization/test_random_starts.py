@@ -98,7 +98,7 @@ class Roughness(Place):
 
     truth = np.random.default_rng(2).uniform(0.15, 0.7, (4, 4, 1))
     close, spp = 0.04, 16
-    options: ClassVar[dict[str, Any]] = {"iterations": 7, "bounds": {"x": (0.05, 1.0)}}
+    options: ClassVar[dict[str, Any]] = {"iterations": 16, "bounds": {"x": (0.05, 1.0)}}
 
     def __init__(self) -> None:
         rough = {

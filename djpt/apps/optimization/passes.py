@@ -1,0 +1,102 @@
+"""Residuals and their derivatives in both directions: three functions, traced in each call or frozen."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import drjit as dr
+
+from djpt.errors import RenderError
+from djpt.jit.types import UInt32
+
+__all__ = ["Passes", "Residual"]
+
+Residual = Callable[[Mapping[str, Any], Any], Any]
+"""A function of variables by name and a seed that returns an array attached to the variables."""
+
+Variables = dict[str, Any]
+
+
+class Passes:
+    """The residuals r of a function, J v and J^T w.
+
+    Args:
+        function: The residuals.
+        frozen: Whether `dr.freeze` records each of the three once and launches its kernels again: then the seed is an
+            array, and the function must not read arrays on the host, or edit shapes and cameras.
+    """
+
+    def __init__(self, function: Residual, frozen: bool) -> None:
+        self._function, self._frozen = function, frozen
+        self.residuals, self.forward, self.reverse = (
+            self._pass(one) for one in (plain_residuals, forward_derivative, reverse_derivative)
+        )
+
+    def _pass(self, derived: Callable[..., Any]) -> Callable[..., Any]:
+        """A function of (variables, .., seed, number of halvings)."""
+        if not self._frozen:
+            return lambda *arguments: derived(self._function, *arguments)
+        recorded = dr.freeze(derived, state_fn=lambda function, *_: reached(function), auto_opaque=False)
+
+        def launched(*arguments: Any) -> Any:
+            *arrays, seed, halvings = arguments
+            return recorded(self._function, *arrays, dr.opaque(UInt32, seed), halvings)
+
+        return launched
+
+
+def reached(function: Residual) -> tuple[dict[str, Any], dict[str, Any]]:
+    """What a function uses of the code around it, where `dr.freeze` looks for arrays."""
+    found = inspect.getclosurevars(function)
+    return dict(found.nonlocals), dict(found.globals)
+
+
+def halved(image: Any) -> Any:
+    """An image (H, W, C) of half the size, of means over 2 x 2 pixels; a last odd row or column is left out."""
+    even = image[: image.shape[0] // 2 * 2, : image.shape[1] // 2 * 2, :]
+    rows = even[0::2, :, :] + even[1::2, :, :]
+    return (rows[:, 0::2, :] + rows[:, 1::2, :]) / 4
+
+
+def residuals(function: Residual, variables: Variables, seed: Any, halvings: int) -> Any:
+    """The residuals, images halved in size so many times, attached."""
+    found = function(variables, seed)
+    for _ in range(halvings):
+        found = halved(found)
+    return found
+
+
+def plain_residuals(function: Residual, variables: Variables, seed: Any, halvings: int) -> Any:
+    """The residuals."""
+    return dr.detach(residuals(function, variables, seed, halvings))
+
+
+def forward_derivative(function: Residual, variables: Variables, tangents: Variables, seed: Any, halvings: int) -> Any:
+    """J v, for v by name."""
+    attached = enabled(variables)
+    for name, value in attached.items():
+        dr.set_grad(value, tangents[name])
+    found = residuals(function, attached, seed, halvings)
+    if not dr.grad_enabled(found):
+        raise RenderError("least_squares: the residuals don't depend on the variables")
+    dr.enqueue(dr.ADMode.Forward, *attached.values())
+    dr.traverse(dr.ADMode.Forward)
+    return dr.grad(found)
+
+
+def reverse_derivative(function: Residual, variables: Variables, weights: Any, seed: Any, halvings: int) -> Variables:
+    """J^T w by name, for w in the shape of the residuals."""
+    attached = enabled(variables)
+    found = residuals(function, attached, seed, halvings)
+    dr.backward(dr.sum(found * weights, axis=None))
+    return {name: dr.grad(value) for name, value in attached.items()}
+
+
+def enabled(variables: Variables) -> Variables:
+    """Copies with gradients enabled."""
+    copies = {name: type(value)(value) for name, value in variables.items()}
+    for value in copies.values():
+        dr.enable_grad(value)
+    return copies
