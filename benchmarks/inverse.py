@@ -238,16 +238,14 @@ class Result:
     def ratios(self) -> list[tuple[float, str]]:
         """Mitsuba's best time / djpt's, by the errors, as numbers and in words.
 
-        If one of them never reached an error, the time until it was given up bounds the ratio; not a number if neither
-        did.
+        If Mitsuba never reached an error, the time until it was given up bounds the ratio; not a number if djpt didn't.
         """
         found = []
         for error in TARGETS:
             t, o = min(course.seconds(error) for course in self.theirs), self.ours.seconds(error)
-            sign = "=" if math.isfinite(t) and math.isfinite(o) else ">" if math.isfinite(o) else "<"
+            sign = "=" if math.isfinite(t) else ">"
             longest = max(course.points[-1][0] for course in self.theirs)
-            value = min(t, longest) / min(o, self.ours.points[-1][0])
-            value = value if math.isfinite(min(t, o)) else math.nan
+            value = min(t, longest) / o if math.isfinite(o) else math.nan
             found.append((value, f"{seconds(t)} / {seconds(o)}" + f" {sign} {value:.2g}" * math.isfinite(value)))
         return found
 
