@@ -129,11 +129,16 @@ class ProjectiveDetail:
         parent = self.parent
         operation = ProjectOperation(parent.proj_mesh_algo, parent.proj_mesh_max_walk, parent.proj_mesh_max_jump)
         rays, active = parent.seed_rays(scene, sensor, sampler)
+        # Paths, projections, and what is asked of points are kernels of their own: the time to compile one grows faster
+        # than its length.
+        dr.eval(rays, active)
         partials = RayFlags.dNSdUV if parent.proj_mesh_algo == "jump" else RayFlags.Empty
         si = scene.ray_intersect(rays, RayFlags.All | partials, active=active)
         active = active & si.is_valid()
         ss, active = operation.eval(scene, rays, si, sampler, active)
-        return scene.invert_silhouette_sample(ss, active), active
+        points = scene.invert_silhouette_sample(ss, active)
+        dr.eval(points, active)
+        return points, active
 
     def init_indirect_silhouette(self, scene: Any, sensor: Any, seed: Any) -> None:
         """Learn where indirect silhouettes matter, by the method that the parent's `guiding` names."""

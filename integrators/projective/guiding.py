@@ -45,9 +45,21 @@ def shares(mass: Float, volume: Float, uniform_share: float) -> Float:
 
 def padded(mass: Float) -> Float:
     """Probabilities, followed by zeros up to the next power of two: kernels know how many there are."""
-    count = dr.width(mass)
-    missing = (1 << (count - 1).bit_length()) - count
-    return dr.concat([mass, dr.zeros(Float, missing)]) if missing else mass
+    return joined([mass], power_of_two(dr.width(mass)))
+
+
+def power_of_two(count: int) -> int:
+    """The next power of two."""
+    return 1 << (count - 1).bit_length()
+
+
+def joined(parts: Sequence[Float], size: int) -> Float:
+    """Arrays one after the other, filled up with zeros to a size: by one kernel, whatever their widths."""
+    result, start = dr.zeros(Float, size), 0
+    for part in parts:
+        dr.scatter(result, part, dr.arange(UInt32, dr.width(part)) + dr.opaque(UInt32, start))
+        start += dr.width(part)
+    return result
 
 
 class UniformDistr(BaseGuidingDistr):
@@ -176,7 +188,8 @@ class OcSpaceDistr(BaseGuidingDistr):
     @staticmethod
     def split(buffer: Float, aabb_min: Point3f, aabb_max: Point3f, aabb_middle: Point3f, node_idx: UInt32) -> None:
         """Write the octants of N boxes to a buffer: octant k of box i is number k N + i."""
-        count = dr.width(node_idx)
+        # Numbers that are written into a kernel make it a new one for each tree.
+        count = dr.opaque(UInt32, dr.width(node_idx))
         for x, y, z in itertools.product((0, 1), repeat=3):
             low = Point3f(*((aabb_min, aabb_middle)[k][axis] for axis, k in enumerate((x, y, z))))
             high = Point3f(*((aabb_middle, aabb_max)[k][axis] for axis, k in enumerate((x, y, z))))
@@ -209,16 +222,16 @@ class OcSpaceDistr(BaseGuidingDistr):
             self.split(buffer, low, high, middle, dr.arange(UInt32, count))
             above = points > dr.gather(Point3f, middle, node, active)
             octant = self.split_offset(*(dr.select(axis, UInt32(1), 0) for axis in above))
-            child = node + count * octant
+            child = node + dr.opaque(UInt32, count) * octant
             population = dr.zeros(UInt32, 8 * count)
-            dr.scatter_add(population, UInt32(1), child, active)
+            dr.scatter_add(population, UInt32(1), child, active, mode=dr.ReduceMode.Local)
             is_leaf = (population <= 1) & (level >= 3) | (level >= self.max_depth)
             dr.eval(buffer, child, is_leaf)
 
             chosen, others = places_of(is_leaf), places_of(~is_leaf)
             if dr.width(chosen):
                 leaves.append(self.aabbs(buffer, chosen))
-                number = dr.cumsum(dr.select(is_leaf, UInt32(1), 0)) - 1 + total
+                number = dr.cumsum(dr.select(is_leaf, UInt32(1), 0)) + dr.opaque(UInt32, total) - 1
                 arrived = active & dr.gather(Bool, is_leaf, child, active)
                 leaf = dr.select(arrived, dr.gather(UInt32, number, child, active), leaf)
             total += dr.width(chosen)
@@ -236,7 +249,11 @@ class OcSpaceDistr(BaseGuidingDistr):
             rank = dr.cumsum(dr.select(is_leaf, UInt32(0), 1)) - 1
             node = dr.gather(UInt32, rank, child, active)
             dr.eval(low, high, node, active, leaf)
-        return joined([low for low, _ in leaves]), joined([high for _, high in leaves]), leaf
+        low, high = (
+            Point3f(*(joined([p[axis] for p in ends], total) for axis in range(3)))
+            for ends in zip(*leaves, strict=True)
+        )
+        return low, high, leaf
 
     def estimate_mass_in_leaves(
         self, aabb_min: Point3f, aabb_max: Point3f, seed: UInt32 | int, log: bool = False
@@ -260,18 +277,20 @@ class OcSpaceDistr(BaseGuidingDistr):
         Raises:
             RenderError: no point has mass.
         """
-        kept = places_of(mass > self.mass_contruction_thres)
+        kept = places_of(mass > dr.opaque(Float, self.mass_contruction_thres))
         if not dr.width(kept):
             raise RenderError("OcSpaceDistr: no sample has mass above the threshold: use more samples, or lower it")
         low, high, leaf = self._leaves(dr.gather(Point3f, points, kept))
         if self.uniform_share > 0:
             # Samples vary least if leaves are chosen by the root of the mean square. It counts leaves in which most
             # random points find nothing, and the points themselves know of more such leaves.
-            known = self._values_in_leaves(low, high, seed, 2)
-            count = dr.full(Float, self.extra_spc, dr.width(low))
-            dr.scatter_add(known, dr.square(dr.gather(Float, mass, kept)), leaf)
+            # A kernel that sums up knows the size of the sums.
+            total, count = (dr.zeros(Float, power_of_two(dr.width(low))) for _ in range(2))
+            dr.scatter_add(total, dr.square(dr.gather(Float, mass, kept)), leaf)
             dr.scatter_add(count, Float(1), leaf)
-            mean = dr.sqrt(known / count)
+            number = dr.arange(UInt32, dr.width(low))
+            known = self._values_in_leaves(low, high, seed, 2) + dr.gather(Float, total, number)
+            mean = dr.sqrt(known / (self.extra_spc + dr.gather(Float, count, number)))
         else:
             mean = self.estimate_mass_in_leaves(low, high, seed, log)
         size = high - low
@@ -295,11 +314,6 @@ class OcSpaceDistr(BaseGuidingDistr):
 
     def __repr__(self) -> str:
         return f"OcSpaceDistr[leaves={0 if self.pmf.empty() else dr.width(self.lower)}]"
-
-
-def joined(parts: Sequence[Point3f]) -> Point3f:
-    """Points one after the other."""
-    return Point3f(*(dr.concat([p[axis] for p in parts]) for axis in range(3)))
 
 
 def places_of(mask: Bool) -> UInt32:
