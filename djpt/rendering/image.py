@@ -182,6 +182,11 @@ def require_still(scene: Scene, sensor: Any = 0) -> None:
     """Raise `RenderError` if what places a shape or the sensor has gradients, which few integrators can follow."""
     require_scene(scene)
     camera = find_sensor(scene, sensor) if scene.sensors() or sensor != 0 else None
+    able = "'direct_projective' or 'prb_projective'"
+    if scene.every_medium:
+        able += (
+            ", which leave media out: the edges of shadows in media, and of what is seen through them, aren't followed"
+        )
     if camera is not None and scene.in_time and not scene.moves and camera.attached_shutter():
         raise RenderError(
             f"'{camera.id()}' has a shutter whose times have gradients: light that changes in time has no derivatives "
@@ -190,12 +195,11 @@ def require_still(scene: Scene, sensor: Any = 0) -> None:
     if camera is not None and (names := camera.attached_names()):
         name = names[0].replace("attached_matrix", "to_world").lstrip("_")
         raise RenderError(
-            f"'{camera.id()}' moves with gradients with respect to '{name}': "
-            "render with the integrator 'direct_projective' or 'prb_projective'"
+            f"'{camera.id()}' moves with gradients with respect to '{name}': render with the integrator {able}"
         )
     moving = next((shape for shape in scene.shapes() if shape.is_moving()), None)
     if moving is not None:
-        able = "'volprim_rf_basic'" if moving.is_ellipsoids() else "'direct_projective' or 'prb_projective'"
+        able = "'volprim_rf_basic'" if moving.is_ellipsoids() else able
         raise RenderError(
             f"'{moving.id()}' moves with parameters that have gradients: render with the integrator {able}"
         )

@@ -412,6 +412,16 @@ def test_what_stands_between_boxes() -> None:
         assert between(shape({"type": "sphere", "center": list(center), "radius": 0.1}), a, b) is expected
 
 
+@pytest.mark.parametrize("kind", ["volpath", "prbvolpath"])
+def test_cameras_in_media_are_refused(kind: str) -> None:
+    """The message says that the integrators for motion would leave the fog out of the picture."""
+    fog = {"type": "cube", "bsdf": {"type": "null"}, "interior": {"type": "homogeneous", "sigma_t": 0.2}}
+    with pytest.raises(RenderError, match=r"'sensor' moves .* which leave media out: the edges"):
+        djpt.render(
+            with_camera(fog={**fog, "to_world": T().scale(20)}), integrator=djpt.load_dict({"type": kind}), spp=1
+        )
+
+
 def test_the_guide_lists_the_cases() -> None:
     guide = (ROOT / "docs" / "guides" / "gradients.md").read_text()
     for case in CASES:
