@@ -34,7 +34,7 @@ class Problem:
     """Mitsuba's learning rates."""
     bounds: tuple[float, float]
     ours: str
-    """``gauss_newton`` or ``least_squares``."""
+    """``gauss_newton``, ``least_squares`` or ``adam``."""
     keys: tuple[str, ...] = ()
     """For ``gauss_newton``: the parameters that the unknowns are, in their order."""
     spp: int = 8
@@ -506,11 +506,10 @@ def volume() -> Problem:
         "TensorXf",
         (0.02, 0.05, 0.1),
         (0.01, 10.0),
-        "gauss_newton",
-        keys=(DENSITY,),
+        "adam",
         spp=16,
         size=32,
-        iterations=20,
+        iterations=150,
     )
 
 
