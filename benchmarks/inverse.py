@@ -23,18 +23,32 @@ import json
 import math
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import drjit as dr
 import numpy as np
-from inverse_scenes import PROBLEMS, Problem
+from inverse_scenes import Problem, environment, material, normals, paints, pose, roughness, texture, view, volume
+from inverse_shape import shape
 
 from djpt.apps.benchmarks.measuring import heading, machine
 from djpt.apps.optimization import least_squares, optimize
 from djpt.validation.bridge import mitsuba_scene, to_mitsuba
 
+PROBLEMS: dict[str, Callable[[], Problem]] = {
+    "paints": paints,
+    "texture": texture,
+    "environment": environment,
+    "pose": pose,
+    "roughness": roughness,
+    "normals": normals,
+    "material": material,
+    "view": view,
+    "volume": volume,
+    "shape": shape,
+}
 TARGETS = (0.4, 0.2, 0.1)
 """The errors to be reached, relative to that at the start."""
 LONGEST = 20.0
@@ -321,8 +335,9 @@ def page(results: list[Result], facts: str, folder: Path) -> str:
     for result in results:
         problem = result.problem
         name = problem.name.replace(",", "").replace(" ", "_")
-        # Several views are wide: one above the other.
-        axis = 0 if problem.views > 1 or problem.name == "volume density" else 1
+        # Several views side by side are wide: one row above the other.
+        height, width = result.pictures["truth"].shape[:2]
+        axis = 0 if width > height else 1
         djpt.write(folder / "images" / f"inverse_{name}.png", np.concatenate(list(result.pictures.values()), axis=axis))
         fastest = min(result.theirs, key=lambda course: course.seconds(TARGETS[-1]))
         rates = ", ".join(f"{rate:g}" for rate in problem.rates)
