@@ -43,6 +43,7 @@ __all__ = [
     "opaque",
     "own_copy",
     "own_floats",
+    "power_of_two",
     "shared",
     "while_loop",
     "wide",
@@ -162,6 +163,11 @@ def numbers_of(record: Any) -> list[Any]:
     else:
         names = getattr(record, "DRJIT_STRUCT", ())
     return [number for name in names for number in numbers_of(getattr(record, name))]
+
+
+def power_of_two(count: int) -> int:
+    """The smallest power of two that isn't less: a size for arrays whose size is part of a kernel."""
+    return 1 << max(count - 1, 0).bit_length()
 
 
 def wide(record: Any, lanes: int) -> Any:

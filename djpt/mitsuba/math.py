@@ -12,6 +12,7 @@ from djpt.core.forms import forms
 from djpt.core.srgb import linear_to_srgb, srgb_to_linear
 from djpt.distributions.search import find_interval
 from djpt.errors import BackendError
+from djpt.jit.kernels import power_of_two
 from djpt.jit.types import Bool, Float, Point2f, UInt32, Vector3f, backend, converting
 
 __all__ = [
@@ -128,7 +129,7 @@ def is_power_of_two(arg: int, /) -> bool:
 
 def round_to_power_of_two(arg: int, /) -> int:
     """The smallest power of two that isn't smaller."""
-    return 1 << max(arg - 1, 0).bit_length()
+    return power_of_two(arg)
 
 
 def ulpdiff(arg0: float, arg1: float, /) -> float:

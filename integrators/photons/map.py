@@ -20,7 +20,7 @@ import drjit as dr
 
 from djpt.integrators.photons.cells import Box
 from djpt.integrators.photons.photon import MOST_EDGES, NOWHERE, WORDS, Photon, PhotonStore, memory_for, unpacked
-from djpt.jit.kernels import as_float, while_loop, wide
+from djpt.jit.kernels import as_float, power_of_two, while_loop, wide
 from djpt.jit.types import (
     Array4f,
     ArrayXf,
@@ -109,7 +109,7 @@ class PhotonMap:
         looked at.
         """
         self.in_media = store.in_media
-        values = max(FEWEST, 1 << (count - 1).bit_length())
+        values = max(FEWEST, power_of_two(count))
         self._mask, self._count = dr.opaque(UInt32, values - 1), dr.opaque(UInt32, count)
         counts = dr.opaque(UInt32, 0, values)
         if count:

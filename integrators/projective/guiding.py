@@ -14,6 +14,7 @@ import drjit as dr
 
 from djpt.distributions.distributions_1d import DiscreteDistribution
 from djpt.errors import RenderError
+from djpt.jit.kernels import power_of_two
 from djpt.jit.types import Bool, Float, Point3f, UInt32, Vector3f, backend
 
 __all__ = ["UNIFORM_SHARE", "BaseGuidingDistr", "GridDistr", "OcSpaceDistr", "UniformDistr", "padded", "places_of"]
@@ -46,11 +47,6 @@ def shares(mass: Float, volume: Float, uniform_share: float) -> Float:
 def padded(mass: Float) -> Float:
     """Probabilities, followed by zeros up to the next power of two: kernels know how many there are."""
     return joined([mass], power_of_two(dr.width(mass)))
-
-
-def power_of_two(count: int) -> int:
-    """The next power of two."""
-    return 1 << (count - 1).bit_length()
 
 
 def joined(parts: Sequence[Float], size: int) -> Float:

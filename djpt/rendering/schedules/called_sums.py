@@ -21,6 +21,7 @@ from djpt.description.properties import Properties
 from djpt.films.base import Film
 from djpt.geometry.ray_queries import asked_for
 from djpt.integrators.base import Integrator
+from djpt.jit.kernels import power_of_two
 from djpt.jit.llvm import arithmetic
 from djpt.jit.llvm.arithmetic import fma
 from djpt.jit.llvm.calls import Code, call, reason_against
@@ -131,11 +132,6 @@ def pieces(items: list[Any]) -> list[list[Any]]:
         result.append(items[start : start + size])
         start += size
     return result
-
-
-def power_of_two(count: int) -> int:
-    """The smallest power of two that isn't less."""
-    return 1 << (count - 1).bit_length()
 
 
 class CalledSums:

@@ -18,7 +18,7 @@ from djpt.geometry.bvh.calls.traversal import B1, B2, BLOCKED, FIELDS, INSIDE, P
 from djpt.jit.llvm.arithmetic import select
 from djpt.jit.llvm.ir import F32, I32, Module, Value, vector
 
-__all__ = ["KEEP_ORIGINS", "PAIRS", "pair_functions"]
+__all__ = ["DIRECTION", "END", "KEEP_ORIGINS", "PAIRS", "pair_functions"]
 
 KEEP_ORIGINS, PAIRS = "keep_origins_of_packet", "pairs_of_packet"
 """The names of the functions."""

@@ -14,11 +14,11 @@ import numpy as np
 from djpt.geometry.bvh.build.builder import build
 from djpt.geometry.bvh.calls.crossings import LENGTHS_OF_PACKET, crossing_function
 from djpt.geometry.bvh.calls.layout import MEDIUM_BITS
-from djpt.geometry.bvh.calls.pairs import KEEP_ORIGINS, PAIRS, pair_functions
+from djpt.geometry.bvh.calls.pairs import DIRECTION, END, KEEP_ORIGINS, PAIRS, pair_functions
 from djpt.geometry.bvh.calls.ray import Features
 from djpt.geometry.bvh.calls.rings import ring_function
 from djpt.geometry.bvh.calls.sweep import sweep_function
-from djpt.geometry.bvh.calls.traversal import ANY, CLOSEST, name_of, packet_function
+from djpt.geometry.bvh.calls.traversal import ANY, CLOSEST, FIELDS, name_of, packet_function
 from djpt.jit.kernels import float_in
 from djpt.jit.llvm.calls import Code, call, reason_against
 from djpt.jit.llvm.compiler import compiled
@@ -88,15 +88,16 @@ def call_pairs(
     inputs: list[Any] = arguments(*ray, Bool(True), flags)
     d = dr.detach(d)
     rest: list[Float] = [d.x, d.y, d.z, end]
-    for place, number in zip(TO_LIGHT, rest, strict=True):
-        inputs[place] = number if place < FIRST_WHOLE else dr.reinterpret_array(UInt32, number)
+    for array, number in zip((*DIRECTION, END), rest, strict=True):
+        inputs[BEFORE_ARRAYS + array] = number if array < FIELDS["flags"] else dr.reinterpret_array(UInt32, number)
     outputs: list[Any] = [Bool(False), Float(0), Float(0), Float(0), UInt32(0), UInt32(0), UInt32(0)]
     *met, hidden = call(pairs, scene, inputs, outputs)
     return Met(*met), Bool(hidden != 0)
 
 
-TO_LIGHT, FIRST_WHOLE = (5, 9, 12, 13), 11
-"""The inputs that `call_pairs` uses for the direction and the end of a ray to a light; the first of whole numbers."""
+BEFORE_ARRAYS = 2
+"""The inputs of a call before those that become arrays of the packet, of which the last, from the flags on, are whole
+numbers."""
 
 
 def call_lengths(

@@ -100,9 +100,9 @@ class CompiledTree:
         """
         assert self.functions.pairs is not None
         origin, entry = enter(self, ray)
-        own, maxt = (origin, ray.d, ray.maxt - entry), ray.maxt - entry
         start, moved = enter(self, to_light)
-        other = start, to_light.d, to_light.maxt - moved
+        maxt = ray.maxt - entry
+        own, other = (origin, ray.d, maxt), (start, to_light.d, to_light.maxt - moved)
         met, hidden = call_pairs(
             *self.functions.pairs, self.memory, own, other, followed, flags_of(None, through_lights)
         )
