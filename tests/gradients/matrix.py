@@ -38,8 +38,8 @@ Node = dict[str, Any]
 Edit = Callable[[Any, Float], None]
 """Makes parameters depend on theta."""
 
-SEEDS, MOST_SEEDS = 4, 64
-"""The number of seeds to start with, and the largest one."""
+SEEDS, MOST_SEEDS, MOST_DIFFERENCES = 4, 64, 512
+"""The number of seeds to start with, and the largest ones of derivatives and of differences, which cost less."""
 
 PRECISE, NOTHING = 0.03, 1e-3
 """The standard error at which no more seeds are needed, relative to the derivative, or to the sum of pixels."""
@@ -94,20 +94,26 @@ class Cell:
         """The comparison of the derivative with differences."""
         try:
             scene = Scene(self)
-            found, expected, brightness = [], [], scene.brightness()
+            found = [scene.forward(2 * seed + 101) for seed in range(SEEDS)]
+            expected = [scene.difference(seed) for seed in range(SEEDS)]
+            brightness = scene.brightness()
             while True:
-                for seed in range(len(found), max(SEEDS, 2 * len(found))):
-                    found.append(scene.forward(2 * seed + 101))
-                    expected.append(scene.difference(seed))
                 pair = np.array(found), np.array(expected)
-                error = float(np.hypot(*(standard_error(v) for v in pair)))
+                errors = [standard_error(values) for values in pair]
+                error = float(np.hypot(*errors))
                 wanted = float(np.mean(expected))
                 precise = error <= max(PRECISE * abs(wanted), NOTHING * brightness)
                 difference = abs(float(np.mean(found)) - wanted)
                 z = judged(self.label, *pair, CRITICAL, paired=False).z
                 close = difference <= SLACK * abs(wanted)
-                if (precise and (close or abs(z) <= SUSPECT)) or len(found) >= MOST_SEEDS:
+                more = len(found) < MOST_SEEDS, len(expected) < MOST_DIFFERENCES
+                if (precise and (close or abs(z) <= SUSPECT)) or not any(more):
                     break
+                # The side with the larger error first.
+                if more[0] and (errors[0] >= errors[1] or not more[1]):
+                    found += [scene.forward(2 * seed + 101) for seed in range(len(found), 2 * len(found))]
+                else:
+                    expected += [scene.difference(seed) for seed in range(len(expected), 2 * len(expected))]
         except (ParameterError, RenderError) as refusal:
             return Outcome("refused", reason=str(refusal))
         right = close or abs(z) <= CRITICAL
