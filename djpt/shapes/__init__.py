@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from djpt.shapes.ellipsoidsmesh import EllipsoidsMesh as EllipsoidsMesh
     from djpt.shapes.implicit import Implicit as Implicit
     from djpt.shapes.implicit import Metaballs as Metaballs
-    from djpt.shapes.implicit import Torus as Torus
     from djpt.shapes.instance import Instance as Instance
     from djpt.shapes.linearcurve import LinearCurve as LinearCurve
     from djpt.shapes.merge import Merge as Merge
@@ -36,5 +35,6 @@ if TYPE_CHECKING:
     from djpt.shapes.serialized import Serialized as Serialized
     from djpt.shapes.shapegroup import ShapeGroup as ShapeGroup
     from djpt.shapes.sphere import Sphere as Sphere
+    from djpt.shapes.torus import Torus as Torus
 else:
     __getattr__, __dir__, __all__ = lazily(__name__)

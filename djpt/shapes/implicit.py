@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import drjit as dr
 import numpy as np
 
 from djpt.core.numeric import as_array, describe
-from djpt.description.plugin import HIDDEN, ParamFlags, TraversalCallback
+from djpt.description.plugin import HIDDEN, ParamFlags
 from djpt.description.properties import Properties
 from djpt.description.registry import register_shape
-from djpt.errors import ParameterError
 from djpt.jit.kernels import as_float, as_vector
 from djpt.jit.types import Float, Point3f, Vector3f
 from djpt.shapes.axes import AxisPool
 from djpt.shapes.level_set import PLACE, LevelSet
 
-__all__ = ["Implicit", "Metaballs", "Torus"]
+__all__ = ["Implicit", "Metaballs"]
 
 
 class Implicit(LevelSet):
@@ -68,51 +65,6 @@ class Implicit(LevelSet):
         return self.function(p)
 
 
-class Torus(LevelSet):
-    """All points at distance `minor` from a circle of radius `major` around the local z axis.
-
-    Parameters: `major` (default 1), `minor` (default 0.25, less than `major`), `to_world` (affine), `flip_normals`.
-    uv as for `implicit`.
-    """
-
-    in_any_frame = True
-    values = dict.fromkeys((*PLACE, "major", "minor"), HIDDEN)
-    statics = ("flip_normals",)
-    slope = 1.0
-
-    def __init__(self, props: Properties) -> None:
-        super().__init__(props)
-        self.major = as_float(props.float("major", 1.0, low=0.0, low_open=True))
-        self.minor = as_float(props.float("minor", 0.25, low=0.0, low_open=True))
-        major, minor = self._radii()
-        if minor >= major:
-            raise props.error("minor", f"must be less than 'major', found {minor:g} and {major:g}")
-
-    def _radii(self) -> tuple[float, float]:
-        return float(self.major[0]), float(self.minor[0])
-
-    def traverse_geometry(self, callback: TraversalCallback) -> None:
-        callback.put("major", self.major, self.motion_flags())
-        callback.put("minor", self.minor, self.motion_flags())
-        super().traverse_geometry(callback)
-
-    def parameters_changed(self, keys: Sequence[str]) -> None:
-        major, minor = self._radii()
-        if not 0 < minor < major:
-            raise ParameterError(f"{self.id()}: needs 0 < minor < major, found minor {minor:g}, major {major:g}")
-
-    def place(self, pool: AxisPool) -> None:
-        major, minor = self._radii()
-        # A margin, so that rounding of the box doesn't cut the surface.
-        high = 1.0001 * np.array([major + minor, major + minor, minor])
-        self.box, self.reach = (-high, high), float(high[0])
-        super().place(pool)
-
-    def field(self, p: Point3f) -> Float:
-        around = dr.sqrt(dr.fma(p.x, p.x, dr.square(p.y))) - self.major
-        return dr.sqrt(dr.fma(around, around, dr.square(p.z))) - self.minor
-
-
 class Metaballs(LevelSet):
     """Balls that flow together: the points where sum_i (1 - d_i^2 / r_i^2)^3 = `level`.
 
@@ -160,5 +112,4 @@ class Metaballs(LevelSet):
 
 
 register_shape("implicit", Implicit)
-register_shape("torus", Torus)
 register_shape("metaballs", Metaballs)

@@ -135,7 +135,7 @@ def test_nothing_follows_what_is_instanced() -> None:
         params.update()
 
 
-@pytest.mark.parametrize("name", ["sphere", "disk", "rectangle", "cylinder"])
+@pytest.mark.parametrize("name", ["sphere", "disk", "rectangle", "cylinder", "torus"])
 def test_shapes_with_silhouettes_are_marked(name: str) -> None:
     params = djpt.traverse(djpt.load_dict({"type": name}))
     assert params.flags("to_world").differentiable
@@ -147,8 +147,8 @@ def test_the_vertices_of_a_cube_are_marked() -> None:
     assert params.flags("vertex_positions").differentiable and "∂" in listed[0]
 
 
-def test_a_torus_is_not_marked() -> None:
-    """Nothing follows the outlines of implicit surfaces."""
-    params = djpt.traverse(djpt.load_dict({"type": "torus"}))
+def test_metaballs_are_not_marked() -> None:
+    """Nothing follows the outlines of surfaces that are given by a function."""
+    params = djpt.traverse(djpt.load_dict({"type": "metaballs", "balls": [[0, 0, 0, 1]]}))
     listed = [line for line in str(params).splitlines() if "to_world" in line]
     assert not params.flags("to_world").differentiable and "∂" not in listed[0]

@@ -48,6 +48,8 @@ SHAPES: dict[str, Any] = {
     "cube": {"type": "cube", "to_world": TURNED.scale([1, 0.5, 0.7])},
     "cylinder": {"type": "cylinder", "to_world": TURNED, "flip_normals": True},
     "sphere": {"type": "sphere", "flip_normals": True},
+    "torus": {"type": "torus", "to_world": TURNED.scale([1, 0.7, 1.2])},
+    "a thick torus": {"type": "torus", "to_world": TURNED, "major": 0.6, "minor": 0.4, "flip_normals": True},
 }
 NAMES = [*SHAPES, "mesh", "mesh with seams"]
 
@@ -56,6 +58,13 @@ def lanes(value: Any, count: int) -> Any:
     """A Dr.Jit array on the host, as wide as others."""
     found = np.array(dr.detach(value))
     return np.broadcast_to(found, (*found.shape[:-1], count))
+
+
+def meets(one: Any, name: str, ray: Any, count: int) -> Any:
+    """Whether rays meet the shape; of a torus, which hides parts of its outlines, only close to where they begin."""
+    if "torus" in name:
+        ray.maxt = Float(0.01)
+    return lanes(one.ray_test(ray), count)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -78,7 +87,7 @@ def test_samples_graze_the_shape(name: str, flags: int) -> None:
     bent = name in ("cube", "mesh", "mesh with seams")
     if (bent and not flags & CREASES) or flags == INTERIOR:
         for ray in (ss.spawn_ray(), ss.toward_viewer().spawn_ray()):
-            assert lanes(one.ray_test(ray), count)[valid].mean() < 0.01
+            assert meets(one, name, ray, count)[valid].mean() < 0.01
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -103,7 +112,7 @@ def test_outlines_have_their_length(name: str, creases: bool) -> None:
             np.testing.assert_allclose((lanes(ss.n, count) * lanes(ss.d, count)).sum(0)[valid], 0, atol=1e-5)
             # A surface may hide its own rim.
             if part != PERIMETER or "cube" in name or "mesh" in name:
-                hits = lanes(one.ray_test(ss.toward_viewer().spawn_ray()), count)[valid].mean()
+                hits = meets(one, name, ss.toward_viewer().spawn_ray(), count)[valid].mean()
                 assert hits < 0.01
 
 

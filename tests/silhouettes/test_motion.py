@@ -30,6 +30,7 @@ SHAPES: dict[str, tuple[Any, str, list[float]]] = {
     "rectangle": (lambda: {"type": "rectangle"}, "x.to_world", [0.2, 0.3, 3]),
     "disk": (lambda: {"type": "disk", "flip_normals": True}, "x.to_world", [0.2, 0.3, 3]),
     "cylinder": (lambda: {"type": "cylinder", "p0": [-1, 0, 0], "p1": [1, 0, 0]}, "x.to_world", [0.2, 0.3, 3]),
+    "torus": (lambda: {"type": "torus", "minor": 0.4}, "x.to_world", [0.7, 0.3, 3]),
     "mesh": (pyramid, "x.vertex_positions", [-0.1, -0.4, 3]),
 }
 

@@ -26,6 +26,8 @@ LAMP = {
     "to_world": T().translate([0, 0, 9]).rotate([1, 0, 0], 180).scale(0.5),
     "emitter": {"type": "area", "radiance": 20.0},
 }
+BLOBS = {"type": "metaballs", "balls": [[-0.5, 0, 0, 1], [0.5, 0, 0, 1]]}
+"""A surface whose outlines aren't followed."""
 BUMPS = {"type": "bitmap", "data": TensorXf(np.random.default_rng(0).random((4, 4, 1)).astype(np.float32)), "raw": True}
 SPOTS = {"type": "bitmap", "data": TensorXf(np.random.default_rng(1).random((4, 4, 3)).astype(np.float32)), "raw": True}
 FLOOR = {"type": "rectangle", "to_world": T().translate([0, 0, -1.5]).scale(4)}
@@ -118,21 +120,21 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
         {"moving": {"type": "sphere", "center": [0, 0, -1.2], "emitter": {"type": "area"}}},
         "'moving' and 'floor' intersect or touch, and the curve",
     ),
-    "a torus in front of a lamp": (
-        {"roof": {"type": "torus", "to_world": T().translate([0, 0, 7]).scale(0.2)}},
-        r"'roof' .torus. may hide 'lamp.*' .area. from a shape that moves, and its outlines and",
+    "blobs in front of a lamp": (
+        {"roof": {**BLOBS, "to_world": T().translate([0, 0, 7]).scale(0.2)}},
+        r"'roof' .metaballs. may hide 'lamp.*' .area. from a shape that moves, and its outlines and",
     ),
-    "a torus in front of a light": (
+    "blobs in front of a light": (
         {
-            "roof": {"type": "torus", "to_world": T().translate([0, 0, 4]).scale(0.2)},
+            "roof": {**BLOBS, "to_world": T().translate([0, 0, 4]).scale(0.2)},
             "lamp": None,
             "sun": {"type": "directional", "direction": [0, 0, -1]},
         },
-        r"'roof' .torus. may hide 'sun' .directional. from",
+        r"'roof' .metaballs. may hide 'sun' .directional. from",
     ),
-    "a torus under a sky": (
-        {"box": {"type": "torus", "to_world": T().translate([3, 0, 0])}, "lamp": None, "sky": {"type": "constant"}},
-        r"'box' .torus. may hide 'sky' .constant. from",
+    "blobs under a sky": (
+        {"box": {**BLOBS, "to_world": T().translate([3, 0, 0])}, "lamp": None, "sky": {"type": "constant"}},
+        r"'box' .metaballs. may hide 'sky' .constant. from",
     ),
 }
 
@@ -170,7 +172,7 @@ PROVEN: dict[str, dict[str, Any]] = {
     "a spot": {"light": {"type": "spot", "to_world": T().translate([0, 0, 6])}},
     "parallel light": {"light": {"type": "directional", "direction": [0, 0, -1]}},
     "a shadow on the shape": {"roof": {"type": "disk", "to_world": T().translate([0, 0, 7]).scale(0.2)}},
-    "a torus out of the way": {"box": {"type": "torus", "to_world": T().translate([3, 0, 0])}},
+    "blobs out of the way": {"box": {**BLOBS, "to_world": T().translate([3, 0, 0])}},
     "a cube before a lamp": {"roof": {"type": "cube", "to_world": T().translate([0, 0, 7]).scale(0.2)}},
     "a cone under a sky": {
         "lamp": None,
@@ -272,10 +274,10 @@ MOVING_LIGHTS: dict[str, tuple[dict[str, Any], str, str]] = {
         "direct_projective",
         "'light' has the texture",
     ),
-    "a torus": (
-        {"box": {"type": "torus", "to_world": T().translate([3, 0, 0])}},
+    "blobs": (
+        {"box": {**BLOBS, "to_world": T().translate([3, 0, 0])}},
         "direct_projective",
-        r"'box' .torus. may hide 'light' .point., which moves",
+        r"'box' .metaballs. may hide 'light' .point., which moves",
     ),
     "a mirror": ({"other": MIRROR_BEHIND}, "prb_projective", "'other' has the BSDF"),
     "bumps": (
@@ -311,7 +313,7 @@ def test_lights_that_move_are_refused(name: str) -> None:
 def test_skies_that_turn_are_not_refused(kind: str) -> None:
     """Nothing has an edge that moves: neither mirrors nor boxes matter."""
     sky = {"type": "envmap", "data": np.random.default_rng(0).random((4, 4, 3), np.float32)}
-    scene = with_moving_light(light=sky, other=MIRROR_BEHIND, box={"type": "torus", "to_world": T().scale(0.1)})
+    scene = with_moving_light(light=sky, other=MIRROR_BEHIND, box={**BLOBS, "to_world": T().scale(0.1)})
     assert dr.grad_enabled(djpt.render(scene, integrator=djpt.load_dict({"type": kind, "max_depth": 3}), spp=1))
 
 
@@ -442,9 +444,9 @@ def with_camera(**nodes: Any) -> Any:
 def test_cameras_that_move(kind: str) -> None:
     scene = with_camera()
     assert dr.grad_enabled(djpt.render(scene, integrator=integrator(kind), spp=1))
-    box = {"type": "torus", "to_world": T().translate([0, 3, 0])}
+    box = {**BLOBS, "to_world": T().translate([0, 3, 0])}
     for nodes, message in (
-        ({"box": box}, "'sensor' moves .*'box' .torus. may be seen by the camera"),
+        ({"box": box}, "'sensor' moves .*'box' .metaballs. may be seen by the camera"),
         ({"other": MIRROR_BEHIND}, "'other' has the BSDF .*conductor"),
         (
             {"other": {**LAMP, "to_world": T().scale(3)}},
