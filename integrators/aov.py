@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from typing import TYPE_CHECKING, Any
 
 import drjit as dr
@@ -11,6 +12,7 @@ from djpt.core.records import Ray3f, SceneView, SurfaceInteraction3f
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
 from djpt.errors import SceneError, near_miss
+from djpt.integrators.base import Integrator
 from djpt.integrators.paths.nesting import NestingIntegrator
 from djpt.jit.types import Bool, Color3f, Float, Vector2f, Vector3f
 from djpt.samplers.base import SampleStream
@@ -81,6 +83,9 @@ class AOV(NestingIntegrator):
 
     Nested integrators under any key render their images first, filtered in either case; without one
     the image has AOV channels only. `distance` and `unfiltered` are djpt's own, all else is Mitsuba's.
+
+    Derivatives: with one nested path tracer, its image has those that it has alone, by the same samples. Filtered
+    variables have theirs by plain AD: of albedos by reflectances, for example.
     """
 
     pure = True
@@ -97,9 +102,20 @@ class AOV(NestingIntegrator):
         self.measures_distance = any(kind == "distance" for _, kind in self.variables)
         if self.nested:
             self.run_as_nested()
-        if self.runs_as_nested and not self.unfiltered:
-            # State machines ask camera rays for no channels.
-            self.schedules = tuple(name for name in self.schedules if name in ("flat", "wave"))
+        if self.runs_as_nested:
+            # The colours by the estimator of the nested integrator, the properties by plain AD of `seen`.
+            self.differentiable = self.path_tracer.differentiable and not self.path_tracer.renders_itself()
+            if not self.unfiltered:
+                # State machines ask camera rays for no channels.
+                self.schedules = tuple(name for name in self.schedules if name in ("flat", "wave"))
+
+    def beside_nested(self) -> AOV | None:
+        if self.unfiltered:
+            return None
+        alone = copy(self)
+        alone.nested, alone.runs_as_nested, alone.writes_color = [], False, False
+        alone.schedules = Integrator.schedules
+        return alone
 
     def aov_names(self) -> Sequence[str]:
         further = [f"{name}.{c}" for name, _ in self.nested[1:] for c in "RGB"]

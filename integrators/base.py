@@ -113,6 +113,13 @@ class Integrator(Plugin):
         """The integrator whose paths are advanced vertex by vertex: this one, or one that is nested in it."""
         return self
 
+    def beside_nested(self) -> Integrator | None:
+        """The integrator of the channels that it has beside the image of `path_tracer`; None if there are none.
+
+        For those that run as one that is nested in them, and that say they are `differentiable`.
+        """
+        return None
+
     def sample_channels(self, color: Color3f, valid: Bool) -> list[Float]:
         """The values of `aov_names` for a finished sample of `path_tracer`: its colour, and whether it is covered."""
         return []

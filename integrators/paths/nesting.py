@@ -39,7 +39,7 @@ class NestingIntegrator(Integrator):
             if isinstance(integrator, LearningIntegrator):
                 raise SceneError(f"{props.node}.{name}: an integrator that learns about the scene can't be nested")
         self.needs_light = any(integrator.needs_light for integrator in integrators)
-        # Path replay is for integrators that stand alone, and their `sample` has no derivative.
+        # Paths are replayed for integrators that stand alone, or that run others: their `sample` has no derivative.
         self.differentiable = all(
             integrator.differentiable and not (integrator.stepwise or integrator.renders_itself())
             for integrator in integrators

@@ -102,6 +102,50 @@ def test_colours_beside_unfiltered_channels_are_differentiable() -> None:
     assert np.all(np.array(dr.grad(params[key])) > 0)
 
 
+@pytest.mark.parametrize("unfiltered", [False, True], ids=["filtered", "unfiltered"])
+def test_the_image_of_a_nested_path_tracer_has_the_derivatives_that_it_has_alone(unfiltered: bool) -> None:
+    import drjit as dr
+
+    scene = djpt.load_dict(box(16))
+    params, key = djpt.traverse(scene), "red.reflectance.value"
+    dr.enable_grad(params[key])
+    params.update()
+    both = djpt.load_dict(aov("a:albedo,d:depth", unfiltered=unfiltered, image=PATH))
+    changes = []
+    for integrator in (djpt.load_dict(PATH), both):
+        image = djpt.render(scene, params, spp=8, integrator=integrator)
+        dr.forward(params[key])
+        changes.append(pixels(dr.grad(image)))
+    np.testing.assert_array_equal(changes[1][..., :3], changes[0])
+    assert changes[0].max() > 0.1
+    # Reverse: each channel of the albedo counts the wall's share of the picture, distances stay.
+    gradients = []
+    for integrator, channels in ((djpt.load_dict(PATH), 3), (both, 3), (both, None)):
+        image = djpt.render(scene, params, spp=8, integrator=integrator)
+        dr.set_grad(params[key], 0)
+        dr.backward(dr.sum(image[:, :, :channels], axis=None))
+        gradients.append(np.array(dr.grad(params[key])).ravel())
+    np.testing.assert_array_equal(gradients[1], gradients[0])
+    wall = np.zeros(3)
+    if not unfiltered:
+        np.testing.assert_array_equal(changes[1][..., 6], 0)
+        wall = changes[1][..., 3:6].sum(axis=(0, 1))
+        # The parameter's change is 1 in each channel, and the wall is seen in about a sixth of the pixels.
+        assert np.all((wall > 20) & (wall < 60))
+    np.testing.assert_allclose(gradients[2] - gradients[0], wall, rtol=1e-4)
+
+
+def test_several_nested_path_tracers_have_no_derivatives() -> None:
+    import drjit as dr
+
+    scene = djpt.load_dict(box(4, "box", aov("d:depth", first=PATH, second=PATH)))
+    params = djpt.traverse(scene)
+    dr.enable_grad(params["red.reflectance.value"])
+    params.update()
+    with pytest.raises(djpt.RenderError, match=r"'AOV' can't be differentiated .* or an 'aov' with one"):
+        djpt.render(scene, params, spp=1)
+
+
 @pytest.mark.parametrize("nested", [{"type": "path", "max_depth": 2}, {"type": "direct"}], ids=lambda i: i["type"])
 @pytest.mark.sparse(2)
 def test_nested_integrators_choose_emitters_as_they_do_alone(nested: dict[str, Any]) -> None:

@@ -121,7 +121,10 @@ def test_errors() -> None:
 @pytest.mark.parametrize("kind", ["prb_projective", "direct_projective", "prb_basic"])
 @pytest.mark.parametrize("outer", [{"type": "moment"}, {"type": "aov", "aovs": "far:depth"}], ids=["moment", "aov"])
 def test_integrators_that_render_by_themselves_can_be_nested(kind: str, outer: dict[str, Any]) -> None:
-    """With the random numbers, and so the image, that they have alone; but without derivatives."""
+    """With the random numbers, and so the image, that they have alone.
+
+    They have no derivatives then, but for the one whose paths are advanced vertex by vertex, beside properties.
+    """
     scene = djpt.load_dict(box(8))
     nested = djpt.load_dict({**outer, "nested": {"type": kind}})
     image = np.array(djpt.render(scene, spp=4, seed=3, integrator=nested))[..., :3]
@@ -130,5 +133,10 @@ def test_integrators_that_render_by_themselves_can_be_nested(kind: str, outer: d
     params = djpt.traverse(scene)
     dr.enable_grad(params["red.reflectance.value"])
     params.update()
+    if (kind, outer["type"]) == ("prb_basic", "aov"):
+        changed = djpt.render(scene, params, spp=4, integrator=nested)
+        dr.forward(params["red.reflectance.value"])
+        assert np.array(dr.grad(changed))[..., :3].max() > 0
+        return
     with pytest.raises(RenderError, match="can't be differentiated"):
         djpt.render(scene, params, spp=4, integrator=nested)

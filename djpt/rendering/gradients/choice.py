@@ -8,6 +8,7 @@ from typing import Any
 import drjit as dr
 
 from djpt.errors import RenderError
+from djpt.integrators.base import Integrator
 from djpt.jit.types import TensorXf
 from djpt.rendering.gradients.derivatives import (
     AttachedDerivative,
@@ -18,7 +19,8 @@ from djpt.rendering.gradients.derivatives import (
 )
 from djpt.rendering.gradients.leaves import Parameter
 from djpt.rendering.schedules.base import Schedule
-from djpt.rendering.schedules.job import Job
+from djpt.rendering.schedules.choice import choose
+from djpt.rendering.schedules.job import Job, image_channels
 from djpt.rendering.settings import RenderSettings
 
 __all__ = ["derivative_of", "differentiable"]
@@ -61,8 +63,10 @@ def derivative_of(samples: Job, schedule: Schedule, parameters: list[Parameter])
     if not integrator.differentiable:
         raise RenderError(
             f"'{type(integrator).__name__}' can't be differentiated with these settings; a plain 'path', 'prb' "
-            "or 'bdpt' can"
+            "or 'bdpt' can, or an 'aov' with one of the first two in it"
         )
+    if integrator.path_tracer is not integrator:
+        return nested_derivative(samples, parameters)
     if integrator.starts_at_lights:
         # Few images need what follows light or wavefronts.
         from djpt.rendering.gradients.splatted import light_derivative
@@ -75,3 +79,19 @@ def derivative_of(samples: Job, schedule: Schedule, parameters: list[Parameter])
     if integrator.stepwise:
         return ReplayDerivative(samples, schedule, parameters)
     return AttachedDerivative(samples, schedule, parameters)
+
+
+def nested_derivative(samples: Job, parameters: list[Parameter]) -> Derivative:
+    """The derivative of an image by an integrator that runs as the one nested in it: each part by its estimator."""
+    whole = samples.integrator
+
+    def part(integrator: Integrator) -> Derivative:
+        job = replace(samples, integrator=integrator)
+        return derivative_of(job, choose("auto", job), parameters)
+
+    color, others = part(whole.path_tracer), whole.beside_nested()
+    if others is None:
+        return color
+    from djpt.rendering.gradients.nested import NestedDerivative
+
+    return NestedDerivative(color, part(others), len(image_channels(samples.film, whole.path_tracer)))
