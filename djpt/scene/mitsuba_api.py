@@ -10,6 +10,7 @@ from djpt.core.bounding_box import ScalarBoundingBox3f
 from djpt.core.frame import Frame3f
 from djpt.core.numeric import as_number
 from djpt.core.records import (
+    GRAZING,
     DirectionSample3f,
     Observer,
     PreliminaryIntersection3f,
@@ -51,9 +52,13 @@ def distance_on_plane(ray: Ray3f, pi: PreliminaryIntersection3f, p: Point3f, n: 
     A moved ray meets a surface where, to first order, it meets the tangent plane:
 
         t = <n, p - o> / <n, d>.
+
+    It stays where the ray grazes the surface, with a cosine below `GRAZING`.
     """
-    t = dr.dot(n, p - ray.o) * dr.rcp(dr.dot(n, ray.d))
-    return with_derivative(pi, t)
+    cosine = dr.dot(n, ray.d)
+    grazes = dr.abs(dr.detach(cosine)) < GRAZING * dr.norm(dr.detach(ray.d))
+    t = dr.dot(n, p - ray.o) * dr.rcp(dr.select(grazes, 1, cosine))
+    return with_derivative(pi, dr.select(grazes, 0, t))
 
 
 def distance_to(ray: Ray3f, pi: PreliminaryIntersection3f, p: Point3f) -> Float:

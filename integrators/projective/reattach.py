@@ -12,6 +12,7 @@ from typing import Any
 import drjit as dr
 
 from djpt.core.records import (
+    GRAZING,
     BSDFContext,
     BSDFFlags,
     DirectionSample3f,
@@ -35,9 +36,6 @@ __all__ = [
     "mirrored",
     "relative",
 ]
-
-GRAZING = 1e-3
-"""The cosine below which the solid angle of an area isn't differentiated: a millionth of a ball's picture."""
 
 
 def delta_lights(scene: Any) -> list[Any]:

@@ -6,7 +6,7 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.core.records import SHADOW_EPSILON, DirectionSample3f, EmitterFlags, Ray3f, has_flag
+from djpt.core.records import GRAZING, SHADOW_EPSILON, DirectionSample3f, EmitterFlags, Ray3f, has_flag
 from djpt.integrators.projective.splat import keep
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.scene.intersecting_shapes import between
@@ -14,8 +14,7 @@ from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
 __all__ = ["Receiver", "followed", "lit_receivers"]
 
-
-GRAZING = 0.02
+GUIDED = 0.02
 """The cosine below which guides don't follow how fast points slide."""
 
 
@@ -52,7 +51,9 @@ class Receiver:
         if viewer is not None:
             o, d, seen = dr.select(by_sensor, o, viewer.o), dr.select(by_sensor, d, viewer.d), Bool(active)
         self._si = integrator.first_hit(scene, Ray3f(o, d), seen, by_sensor)
-        self._scene, self._ss, self._d, self._seen = scene, ss, d, seen & self._si.is_valid()
+        self._scene, self._ss, self._d = scene, ss, d
+        slides_far = dr.abs(dr.dot(dr.detach(self._si.n), dr.detach(d))) < GRAZING
+        self._seen = seen & self._si.is_valid() & ~slides_far
 
     @property
     def p(self) -> Point3f:
@@ -89,7 +90,7 @@ class Receiver:
             if shape.parameters_grad_enabled():
                 moves = moves | (self._si.shape == shape)
         cosine = dr.abs(dr.dot(self._si.n, self._d))
-        return dr.select(moves & self._seen, dr.rcp(dr.maximum(cosine, GRAZING)), 0)
+        return dr.select(moves & self._seen, dr.rcp(dr.maximum(cosine, GUIDED)), 0)
 
 
 def lit_receivers(

@@ -19,6 +19,7 @@ from djpt.core.records.flags import (
     has_flag,
 )
 from djpt.core.records.interactions import (
+    GRAZING,
     RAY_EPSILON,
     SHADOW_EPSILON,
     Interaction3f,
@@ -34,6 +35,7 @@ from djpt.core.records.samples import BSDFSample3f, DirectionSample3f, EmissionS
 
 __all__ = [
     "ALL_COMPONENTS",
+    "GRAZING",
     "RAY_EPSILON",
     "SHADOW_EPSILON",
     "BSDFContext",

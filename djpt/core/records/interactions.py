@@ -23,6 +23,7 @@ from djpt.core.records.record import (
 from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, UInt32, Vector2f, Vector3f
 
 __all__ = [
+    "GRAZING",
     "RAY_EPSILON",
     "SHADOW_EPSILON",
     "Interaction3f",
@@ -39,6 +40,13 @@ RAY_EPSILON = 1500 * 2.0**-24
 
 SHADOW_EPSILON = 10 * RAY_EPSILON
 """A shadow ray stops short of the light by this fraction of its length."""
+
+GRAZING = 1e-3
+"""The cosine at a surface below which points on it count as fixed when images are differentiated.
+
+It is that of a millionth of a ball's picture. How far hits slide grows like the inverse cosine, and rounding decides
+about the last digits of so small ones.
+"""
 
 
 @dataclass
