@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from djpt.description.plugin import HIDDEN, ParamFlags, Plugin, TraversalCallback
 from djpt.dispatch.tables import entry_at
 from djpt.distributions.grids import cell_masses, corner_table, halve
+from djpt.distributions.recorded_2d import grid_tables
 from djpt.jit.kernels import aligned_floats, as_vector, if_stmt, lerp, maximum, minimum
 from djpt.jit.types import Bool, Float, Point2f, TensorXf, UInt32
 
@@ -81,6 +82,15 @@ class Hierarchical2D(Plugin):
             end -= count
         self.splits = TensorXf(nodes.reshape(-1, 1, 4))
         self.root = as_vector(nodes[0, :3].astype(np.float64))
+
+    def set_recorded(self, numbers: Float, rows: int, columns: int) -> Float:
+        """Take the numbers at the corners of rows x columns cells in a function that `dr.freeze` records, row by row.
+
+        The number of rows and columns must be what it was. The result is the density at the corners.
+        """
+        found = grid_tables(numbers, rows, columns, self.levels)
+        self.splits, self.corners, self.root = found.splits, found.corners, found.root
+        return found.at_corners
 
     # ---- in kernels --------------------------------------------------------------------
 

@@ -10,6 +10,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.core.color import LUMINANCE
 from djpt.core.frame import Frame3f
 from djpt.core.numeric import non_negative
 from djpt.core.records import DirectionSample3f, EmissionSample, EmitterFlags, Observer, Ray3f, SurfaceInteraction3f
@@ -134,8 +135,11 @@ class EnvironmentMap(InfiniteEmitter, OrientedEmitter):
     def _measure(self) -> None:
         """Compute what kernels read besides the texels: counts, densities and the table of both."""
         rows, columns = self.data.shape[0], self.data.shape[1] - 2
+        if recording():
+            self._measure_recorded(rows, columns)
+            return
         self.rows, self.columns = dr.opaque(UInt32, rows), dr.opaque(UInt32, columns)
-        texels = numbers_of(self.data)[:, 1:-1] if not recording() else np.ones((rows, columns, 3))
+        texels = numbers_of(self.data)[:, 1:-1]
         magnitudes = np.abs(texels)
         self._mean = mean_over_sphere(magnitudes)
         weights = luminance(magnitudes)
@@ -150,6 +154,33 @@ class EnvironmentMap(InfiniteEmitter, OrientedEmitter):
                 self.distribution.set(bright)
         # Radiance with the density of `distribution` at the texels: a lookup gives both.
         self.texels = TensorXf(side_by_side(texels, self.distribution.at_corners[:, :-1]))
+
+    def _measure_recorded(self, rows: int, columns: int) -> None:
+        """The same by kernels, since `dr.freeze` records them, in single precision; the mean stays what it was."""
+        with dr.suspend_grad():
+            corner = dr.arange(UInt32, rows * (columns + 1))
+            row, column = corner // (columns + 1), corner % (columns + 1) % columns
+            texel = dr.gather(Color3f, dr.detach(self.data).array, row * (columns + 2) + column + 1)
+            sines = dr.select(row == rows - 1, 0, dr.sin(Float(row) * (math.pi / (rows - 1))))
+            red, green, blue = LUMINANCE
+            brightness = red * dr.abs(texel.x) + green * dr.abs(texel.y) + blue * dr.abs(texel.z)
+            everywhere = brightness * sines
+            weights = dr.select(dr.sum(everywhere) > 0, everywhere, sines)
+            bright = weights
+            if self.ray_distribution is not None:
+                self.ray_distribution.set_recorded(weights, rows - 1, columns)
+                inner = dr.select(corner % (columns + 1) < columns, brightness, 0)
+                average = dr.sum(inner) / (rows * columns)
+                rest = maximum(brightness - average, Float(0)) * sines
+                uneven = (average - dr.min(brightness) > 0.01 * average) & (dr.sum(rest) > 0)
+                bright = dr.select(uneven, rest, weights)
+            density = self.distribution.set_recorded(bright, rows - 1, columns)
+            inside = dr.arange(UInt32, rows * columns)
+            row, column = inside // columns, inside % columns
+            texel = dr.gather(Color3f, dr.detach(self.data).array, row * (columns + 2) + column + 1)
+            here = dr.gather(Float, density, row * (columns + 1) + column)
+            self.texels = TensorXf(dr.ravel(Array4f(texel.x, texel.y, texel.z, here)), (rows, columns, 4))
+            dr.eval(self.texels)
 
     def power(self) -> float:
         return number(self.scale) * self._mean * (2 * math.pi * number(self.radius)) ** 2

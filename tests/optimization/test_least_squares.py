@@ -9,7 +9,7 @@ import pytest
 
 import djpt
 from djpt.apps.optimization import least_squares
-from djpt.apps.optimization.passes import halved
+from djpt.apps.optimization.passes import Passes, halved
 from djpt.errors import RenderError
 
 
@@ -90,11 +90,13 @@ def test_differences_know_of_edges() -> None:
         least_squares(residual, {"end": djpt.Float(0.75)}, differences={"start": 0.2})
 
 
-def test_frozen_functions_give_the_same_steps() -> None:
-    """A texture of 3 x 3 texels of a rectangle, with 4 images averaged in the end."""
-    texels = np.random.default_rng(1).uniform(0.2, 0.8, (3, 3, 1)).astype(np.float32)
+TEXELS = np.random.default_rng(1).uniform(0.2, 0.8, (3, 3, 1)).astype(np.float32)
+
+
+def painted() -> tuple[djpt.Scene, Callable[[Any, Any], Any]]:
+    """A rectangle with a texture of 3 x 3 texels, and its image in 8 x 8 pixels by the texels and a seed."""
     film = {"type": "hdrfilm", "width": 8, "height": 8, "rfilter": {"type": "box"}}
-    paint = {"type": "diffuse", "reflectance": {"type": "bitmap", "data": texels, "raw": True}}
+    paint = {"type": "diffuse", "reflectance": {"type": "bitmap", "data": TEXELS, "raw": True}}
     place = djpt.ScalarTransform4f().look_at([0, 0, 3], [0, 0, 0], [0, 1, 0])
     scene = djpt.load_dict(
         {
@@ -105,16 +107,60 @@ def test_frozen_functions_give_the_same_steps() -> None:
             "light": {"type": "constant"},
         }
     )
-    target = djpt.render(scene, spp=16, seed=99)
 
-    def residual(variables: Any, seed: Any) -> Any:
+    def image(variables: Any, seed: Any) -> Any:
         params = djpt.traverse(scene)
         params["floor.bsdf.reflectance.data"] = variables["x"]
         params.update()
-        return djpt.render(scene, params, spp=2, seed=seed) - target
+        return djpt.render(scene, params, spp=2, seed=seed)
 
-    start = {"x": djpt.TensorXf(np.full_like(texels, 0.5))}
-    plain, frozen = (least_squares(residual, start, iterations=4, frozen=frozen) for frozen in (False, True))
+    return scene, image
+
+
+def test_frozen_functions_give_the_same_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A texture of 3 x 3 texels of a rectangle, with 4 images averaged in the end."""
+    _, image = painted()
+    target, recorded, freeze = image({"x": djpt.TensorXf(TEXELS)}, 99), list[Any](), dr.freeze
+
+    def residual(variables: Any, seed: Any) -> Any:
+        return image(variables, seed) - target
+
+    def frozen_ones(*arguments: Any, **options: Any) -> Any:
+        recorded.append(freeze(*arguments, **options))
+        return recorded[-1]
+
+    monkeypatch.setattr(dr, "freeze", frozen_ones)
+    start = {"x": djpt.TensorXf(np.full_like(TEXELS, 0.5))}
+    plain, frozen = (
+        least_squares(residual, start, iterations=4, bounds={"x": (0, 1)}, frozen=frozen) for frozen in (False, True)
+    )
     assert np.allclose(plain.losses, frozen.losses, rtol=1e-4) and plain.taken_back == frozen.taken_back
     assert np.allclose(plain.average["x"], frozen.average["x"], atol=1e-4)
-    assert np.abs(frozen.average["x"] - texels).mean() < 0.6 * np.abs(0.5 - texels).mean()
+    assert np.abs(frozen.average["x"] - TEXELS).mean() < 0.6 * np.abs(0.5 - TEXELS).mean()
+    # The scene is met as it was loaded, with plain values, and with attached ones; not anew for other memory.
+    assert len(recorded) == 3 and max(one.n_recordings for one in recorded) <= 3
+
+
+@pytest.mark.parametrize("frozen", [False, True])
+def test_derivatives_take_images_that_are_known(frozen: bool) -> None:
+    """By the chain rule, the derivative of squares is twice the known image times its own derivative."""
+    _, image = painted()
+    passes = Passes(lambda variables, seed: dr.square(image(variables, seed)), frozen)
+    plain = Passes(image, frozen)
+    at, way = np.full_like(TEXELS, 0.5), np.linspace(-1, 1, 9, dtype=np.float32).reshape(3, 3, 1)
+
+    def x(array: np.ndarray) -> dict[str, Any]:
+        return {"x": djpt.TensorXf(array)}
+
+    squares, images = passes.residuals(x(at), 1, 0)
+    (known,) = images.values()
+    assert np.allclose(squares.numpy(), known.numpy() ** 2)
+    slope = plain.forward(x(at), x(way), {}, 2, 0).numpy()
+    assert np.allclose(passes.forward(x(at), x(way), images, 2, 0).numpy(), 2 * known.numpy() * slope, rtol=1e-4)
+    unknown = passes.forward(x(at), x(way), {}, 2, 0).numpy()
+    assert not np.allclose(unknown, 2 * known.numpy() * slope, rtol=1e-4), "an image of seed 2"
+
+    weights = djpt.TensorXf(np.random.default_rng(5).normal(0, 1, (8, 8, 3)).astype(np.float32))
+    found = passes.reverse(x(at), weights, images, 2, 0)["x"].numpy()
+    expected = plain.reverse(x(at), weights * 2 * known, {}, 2, 0)["x"].numpy()
+    assert np.allclose(found, expected, rtol=1e-3, atol=1e-5)

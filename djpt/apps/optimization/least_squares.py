@@ -41,6 +41,8 @@ import numpy.typing as npt
 
 from djpt.apps.optimization.passes import Passes, Residual
 from djpt.errors import RenderError, near_miss
+from djpt.jit.kernels import mapped, own_array, own_floats
+from djpt.rendering.known_images import Images
 from djpt.rendering.progressive.rounds import round_seed
 from djpt.rendering.settings import check_count, check_seed
 
@@ -212,6 +214,10 @@ class Problem:
         limits = {name: bounds.get(name, (-np.inf, np.inf)) for name in arrays}
         self._low, self._high = (self._spread({name: limit[end] for name, limit in limits.items()}) for end in (0, 1))
         self._distances = self._spread({name: differences.get(name, 0.0) for name in arrays})
+        self._images: Images = {}
+        """The images of the last residuals."""
+        self._known = self._images
+        """The images at the place from which a step begins."""
         self.squares, self.estimates = np.zeros_like(self.start), 0
         """The sum of estimates of diag(J^T J), and their number."""
 
@@ -238,7 +244,7 @@ class Problem:
         return found
 
     def _typed(self, name: str, array: Doubles) -> Any:
-        return self._types[name](np.ascontiguousarray(array, np.float32))
+        return in_own_memory(self._types[name], array)
 
     def seeds(self, seed: int) -> list[int]:
         """The seeds of the images that are averaged."""
@@ -246,20 +252,23 @@ class Problem:
 
     def residuals(self, x: Doubles, seed: int) -> Doubles:
         """The residuals at a vector: means over as many images as are averaged."""
-        variables = self.variables(x)
-        found = [self._passes.residuals(variables, each, self.halvings) for each in self.seeds(seed)]
-        self._shape, self._kind = found[0].shape, type(found[0])
-        return np.asarray(sum(np.array(one, np.float64) for one in found)).ravel() / len(found)
+        total, seeds = np.zeros(()), self.seeds(seed)
+        for each in seeds:
+            # New arrays each time: the scene keeps them, and to `dr.freeze` two inputs that are one array are news.
+            found, self._images = self._passes.residuals(self.variables(x), each, self.halvings)
+            total = total + np.array(found, np.float64)
+        self._shape, self._kind = found.shape, type(found)
+        return total.ravel() / len(seeds)
 
     def forward(self, x: Doubles, direction: Doubles, seed: int) -> Doubles:
         """J v: the derivative of the residuals in a direction."""
-        slope = self._passes.forward(self.variables(x), self.variables(direction), seed, self.halvings)
+        slope = self._passes.forward(self.variables(x), self.variables(direction), self._known, seed, self.halvings)
         return np.array(slope, np.float64).ravel()
 
     def reverse(self, x: Doubles, weights: Doubles, seed: int) -> Doubles:
         """J^T w: the gradient of the weighted sum of the residuals."""
-        shaped = self._kind(np.ascontiguousarray(weights.reshape(self._shape), np.float32))
-        slopes = self._passes.reverse(self.variables(x), shaped, seed, self.halvings)
+        shaped = in_own_memory(self._kind, weights.reshape(self._shape))
+        slopes = self._passes.reverse(self.variables(x), shaped, self._known, seed, self.halvings)
         return np.concatenate([np.array(slopes[name], np.float64).ravel() for name in self._types])
 
     def difference(self, x: Doubles, entry: int, seed: int) -> Doubles:
@@ -271,7 +280,8 @@ class Problem:
         return change / (high[entry] - low[entry])
 
     def system(self, x: Doubles, now: Doubles, seed: int, damping: float) -> Dense | MatrixFree:
-        """The equations of a step from a vector with the residuals `now`."""
+        """The equations of a step from a vector with the residuals `now`, the last ones that were computed."""
+        self._known = self._images
         if x.size > DENSE and not self._distances.any():
             return MatrixFree(self, x, now, seed, damping)
         first = self._columns(x, round_seed(seed, 1), range(x.size))
@@ -290,6 +300,18 @@ class Problem:
             for k in entries
         ]
         return np.stack(columns, axis=1)
+
+
+def in_own_memory(kind: type[Any], array: Doubles) -> Any:
+    """Numbers as arrays or tensors of Dr.Jit, in its own memory.
+
+    Memory of NumPy, which Dr.Jit shares, is aligned by chance, and `dr.freeze` records a function anew when the
+    alignment of an input has changed.
+    """
+    shared = kind(np.ascontiguousarray(array, np.float32))
+    if dr.is_tensor_v(kind):
+        return kind(own_floats(array.ravel().astype(np.float32)), shared.shape)
+    return mapped(shared, lambda numbers: own_array(type(numbers), numbers.numpy()))
 
 
 def positive(matrix: Doubles) -> Doubles:

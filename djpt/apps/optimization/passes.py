@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping
+from types import FunctionType
 from typing import Any
 
 import drjit as dr
 
 from djpt.errors import RenderError
 from djpt.jit.types import UInt32
+from djpt.rendering.known_images import Images, images_collected, images_known
 
 __all__ = ["Passes", "Residual"]
 
@@ -47,10 +49,22 @@ class Passes:
         return launched
 
 
-def reached(function: Residual) -> tuple[dict[str, Any], dict[str, Any]]:
-    """What a function uses of the code around it, where `dr.freeze` looks for arrays."""
-    found = inspect.getclosurevars(function)
-    return dict(found.nonlocals), dict(found.globals)
+def reached(function: Residual) -> list[dict[str, Any]]:
+    """What a function, and functions of the same module that it calls, use of the code around them.
+
+    There `dr.freeze` looks for arrays.
+    """
+    found, seen, left = list[dict[str, Any]](), set[int](), list[Any]([function])
+    while left:
+        one = left.pop()
+        if id(one) in seen:
+            continue
+        seen.add(id(one))
+        outside = inspect.getclosurevars(one)
+        for variables in (dict(outside.nonlocals), dict(outside.globals)):
+            found.append(variables)
+            left += [v for v in variables.values() if isinstance(v, FunctionType) and v.__module__ == one.__module__]
+    return found
 
 
 def halved(image: Any) -> Any:
@@ -68,17 +82,22 @@ def residuals(function: Residual, variables: Variables, seed: Any, halvings: int
     return found
 
 
-def plain_residuals(function: Residual, variables: Variables, seed: Any, halvings: int) -> Any:
-    """The residuals."""
-    return dr.detach(residuals(function, variables, seed, halvings))
+def plain_residuals(function: Residual, variables: Variables, seed: Any, halvings: int) -> tuple[Any, Images]:
+    """The residuals, and the images that they were computed from."""
+    with images_collected() as images:
+        found = dr.detach(residuals(function, variables, seed, halvings))
+    return found, dr.detach(images)
 
 
-def forward_derivative(function: Residual, variables: Variables, tangents: Variables, seed: Any, halvings: int) -> Any:
-    """J v, for v by name."""
+def forward_derivative(
+    function: Residual, variables: Variables, tangents: Variables, images: Images, seed: Any, halvings: int
+) -> Any:
+    """J v, for v by name, where images are known."""
     attached = enabled(variables)
     for name, value in attached.items():
         dr.set_grad(value, tangents[name])
-    found = residuals(function, attached, seed, halvings)
+    with images_known(images):
+        found = residuals(function, attached, seed, halvings)
     if not dr.grad_enabled(found):
         raise RenderError("least_squares: the residuals don't depend on the variables")
     dr.enqueue(dr.ADMode.Forward, *attached.values())
@@ -86,10 +105,13 @@ def forward_derivative(function: Residual, variables: Variables, tangents: Varia
     return dr.grad(found)
 
 
-def reverse_derivative(function: Residual, variables: Variables, weights: Any, seed: Any, halvings: int) -> Variables:
-    """J^T w by name, for w in the shape of the residuals."""
+def reverse_derivative(
+    function: Residual, variables: Variables, weights: Any, images: Images, seed: Any, halvings: int
+) -> Variables:
+    """J^T w by name, for w in the shape of the residuals, where images are known."""
     attached = enabled(variables)
-    found = residuals(function, attached, seed, halvings)
+    with images_known(images):
+        found = residuals(function, attached, seed, halvings)
     dr.backward(dr.sum(found * weights, axis=None))
     return {name: dr.grad(value) for name, value in attached.items()}
 

@@ -18,6 +18,7 @@ from djpt.rendering.gradients.derivatives import (
     attached_image,
 )
 from djpt.rendering.gradients.leaves import Parameter
+from djpt.rendering.known_images import known_or
 from djpt.rendering.schedules.base import Schedule
 from djpt.rendering.schedules.choice import choose
 from djpt.rendering.schedules.job import Job, image_channels
@@ -46,7 +47,7 @@ def differentiable(
 
     def primal() -> TensorXf:
         with dr.suspend_grad():
-            return schedule.image(job)
+            return known_or(settings, lambda: schedule.image(job))
 
     return attached_image(parameters, unused, primal, derivative)
 

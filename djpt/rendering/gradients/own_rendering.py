@@ -15,6 +15,7 @@ from djpt.rendering.gradients.derivatives import attached_image, propagated
 from djpt.rendering.gradients.leaves import Parameter, attached_parameters, motion_parameters
 from djpt.rendering.gradients.self_intersections import warn_of_self_intersections
 from djpt.rendering.gradients.unproven import moves, require_proven
+from djpt.rendering.known_images import known_or
 from djpt.rendering.schedules.job import image_channels
 from djpt.rendering.settings import RenderSettings
 from djpt.scene.instance_copies import with_copies
@@ -49,7 +50,8 @@ def image_by_itself(scene: Scene, params: Any, settings: RenderSettings) -> Tens
     scene, parameters = differentiated(scene, integrator, sensor)
     if not parameters:
         return primal()
-    return attached_image(parameters, [], primal, OwnDerivative(scene, params, settings, parameters))
+    derivative = OwnDerivative(scene, params, settings, parameters)
+    return attached_image(parameters, [], lambda: known_or(settings, primal), derivative)
 
 
 def differentiated(scene: Scene, integrator: Any, sensor: Any) -> tuple[Scene, list[Parameter]]:
