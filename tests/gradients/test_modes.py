@@ -12,7 +12,8 @@ import pytest
 import djpt
 from djpt.core.transforms import ScalarTransform4f as T
 from djpt.jit.types import TensorXf
-from tests.silhouettes.cases import GROUND, POINT, SPOTS, WEIGHTS, ball, sensor, sky
+from tests.silhouettes.camera_cases import GROUND
+from tests.silhouettes.cases import POINT, SPOTS, WEIGHTS, ball, sensor, sky
 from tests.silhouettes.test_projective import octahedron
 
 ROUNDING = 1e-5

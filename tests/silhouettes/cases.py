@@ -1,4 +1,4 @@
-"""What moves, and in which scene: cases of shapes, lights and cameras whose derivatives central differences check."""
+"""What moves, and in which scene: cases of shapes whose derivatives central differences check."""
 
 from __future__ import annotations
 
@@ -46,6 +46,21 @@ def slide(params: Any, theta: Float) -> None:
     positions = Float(params["moving.vertex_positions"])
     x, y = (dr.arange(UInt32, dr.width(positions)) % 3 == axis for axis in (0, 1))
     params["moving.vertex_positions"] = positions + dr.select(x, theta, dr.select(y, 0.3 * theta, 0))
+
+
+def edit(key: str, by: float) -> Move:
+    """Add to a number."""
+
+    def move(params: Any, theta: Float) -> None:
+        params[key] = Float(params[key]) + by * theta
+
+    return move
+
+
+def turn_head(params: Any, theta: Float) -> None:
+    """Turn the camera about an axis of its own."""
+    own = djpt.Transform4f().rotate([0.6, 0.8, 0], 20 * theta)
+    params["sensor.to_world"] = djpt.Transform4f(params["sensor.to_world"]) @ own
 
 
 def sensor(origin: tuple[float, float, float] = (0, 0, 6), fov: float = 40, **more: Any) -> dict[str, Any]:
@@ -388,7 +403,7 @@ CASES |= {
     ),
     "a camera, turn: an instance": Case(
         lambda: {**placed("other", T().rotate([0.6, 0.8, 0], 30)), "light": SUN},
-        lambda params, theta: turn_head(params, theta),
+        turn_head,
         spp=512,
     ),
 }
@@ -427,242 +442,4 @@ CASES |= {
         settings={"hide_emitters": True},
         thorough=True,
     ),
-}
-
-
-def edit(key: str, by: float) -> Move:
-    """Add to a number."""
-
-    def move(params: Any, theta: Float) -> None:
-        params[key] = Float(params[key]) + by * theta
-
-    return move
-
-
-def turn_head(params: Any, theta: Float) -> None:
-    """Turn the camera about an axis of its own."""
-    own = djpt.Transform4f().rotate([0.6, 0.8, 0], 20 * theta)
-    params["sensor.to_world"] = djpt.Transform4f(params["sensor.to_world"]) @ own
-
-
-GROUND = {
-    "type": "rectangle",
-    "to_world": T().translate([0, 0, -1.5]).scale(3),
-    "bsdf": {"type": "diffuse", "reflectance": SPOTS},
-}
-MOTIONS = {
-    "step aside": shift("sensor.to_world"),
-    "step back": shift("sensor.to_world", 0, 0, 1),
-    "turn": turn_head,
-    "field of view": edit("sensor.x_fov", 20),
-    "principal point": edit("sensor.principal_point_offset_x", 0.3),
-}
-for motion, move in MOTIONS.items():
-    CASES[f"a camera, {motion}: a globe"] = Case(
-        lambda: {"globe": ball(radius=0.9, emitter={"type": "area", "radiance": SPOTS})}, move, settings={"sppi": 0}
-    )
-    CASES[f"a camera, {motion}: a floor under a sky"] = Case(
-        lambda: {"floor": {**GROUND, "to_world": T().scale(9)}, "sky": {"type": "constant"}}, move, step=0.02
-    )
-    CASES[f"a camera, {motion}: the light of a point"] = Case(
-        lambda: {
-            "ball": ball({"type": "diffuse", "reflectance": SPOTS}, center=[0.5, 0.2, 0], radius=0.8),
-            "floor": GROUND,
-            "light": {"type": "point", "position": [1, 2, 6], "intensity": 40.0},
-        },
-        move,
-        spp=512,
-    )
-
-
-def parallel(params: Any, theta: Float) -> None:
-    """Turn a camera and move it aside."""
-    motion = djpt.Transform4f().rotate([0, 1, 0], 20 * theta) @ djpt.Transform4f().translate([0.5 * theta, 0, 0])
-    params["sensor.to_world"] = motion @ djpt.Transform4f(params["sensor.to_world"])
-
-
-ORTHOGRAPHIC = {
-    **sensor(),
-    "type": "orthographic",
-    "to_world": T().look_at([0, 0, 6], [0, 0, 0], [0, 1, 0]).scale([3, 3, 1]),
-}
-del ORTHOGRAPHIC["fov"]
-CASES |= {
-    f"parallel rays: {name}": Case(
-        lambda: {
-            "moving": ball({"type": "diffuse", "reflectance": SPOTS}, center=[0.5, 0.2, 0], radius=0.8),
-            "floor": GROUND,
-            "light": {"type": "point", "position": [1, 2, 6], "intensity": 40.0},
-            "sensor": ORTHOGRAPHIC,
-        },
-        move,
-        spp=512,
-    )
-    for name, move in (("a camera", parallel), ("a ball", shift("moving.to_world")))
-}
-
-
-def lens(scene: str) -> dict[str, Any]:
-    """Scenes for cameras with a lens: a globe, and a ball over a floor."""
-    camera = sensor(type="thinlens", aperture_radius=0.4, focus_distance=4.0)
-    if scene == "a globe":
-        return {"globe": ball(radius=0.9, emitter={"type": "area", "radiance": SPOTS}), "sensor": camera}
-    return {
-        "ball": ball({"type": "diffuse", "reflectance": SPOTS}, center=[0.5, 0.2, 1], radius=0.8),
-        "floor": GROUND,
-        "light": {"type": "point", "position": [1, 2, 6], "intensity": 40.0},
-        "sensor": camera,
-    }
-
-
-LENS_MOTIONS = {
-    "step aside": shift("sensor.to_world"),
-    "turn": turn_head,
-    "field of view": edit("sensor.x_fov", 20),
-    "aperture": edit("sensor.aperture_radius", 1),
-    "focus": edit("sensor.focus_distance", 3),
-}
-for motion, move in LENS_MOTIONS.items():
-    for where in ("a globe", "the light of a point"):
-        CASES[f"a lens, {motion}: {where}"] = Case(
-            lambda where=where: lens(where), move, spp=512, settings={"sppi": 0} if where == "a globe" else {}
-        )
-BLADES = {"aperture_blades": 5, "aperture_rotation": 15, "aperture_roundness": 0.3, "tilt": 35, "swing": -20}
-
-
-def view_camera(scene: str) -> dict[str, Any]:
-    """The scenes of `lens` through a lens with blades, tilted."""
-    nodes = lens(scene)
-    return {**nodes, "sensor": {**nodes["sensor"], **BLADES}}
-
-
-CASES |= {
-    f"a view camera, {name}: {where}": Case(
-        lambda where=where: view_camera(where), move, spp=512, settings={"sppi": 0} if where == "a globe" else {}
-    )
-    for name, where, move in (
-        ("step aside", "the light of a point", shift("sensor.to_world")),
-        ("tilt", "a globe", edit("sensor.tilt", 40)),
-        ("swing", "the light of a point", edit("sensor.swing", 40)),
-        ("shift", "a globe", edit("sensor.principal_point_offset_x", 0.3)),
-    )
-}
-CASES["a lens: a ball moves"] = Case(lambda: lens("a ball"), shift("ball.to_world"), spp=512)
-
-
-def circled(**nodes: Any) -> dict[str, Any]:
-    """What a fisheye sees whose film reaches past its image circle; outlines cross the edge of the circle."""
-    return {**nodes, "sensor": sensor(type="fisheye", image_circle=16.0, principal_point_offset_x=0.1)}
-
-
-SHINING = ball(center=[0.35, 0.2, 0], radius=0.7, emitter={"type": "area", "radiance": SPOTS})
-CASES |= {
-    f"an image circle, {name}: a globe": Case(
-        lambda: circled(globe=SHINING), move, step=0.01, spp=512, spp_difference=16384, settings={"sppi": 0}
-    )
-    for name, move in (("turn", turn_head), ("what is seen", shift("globe.to_world")))
-}
-BARREL = sensor(fov=60, k1=-0.9)
-CASES["a picture that folds, turn: the light of a point"] = Case(
-    lambda: {**lens("a ball"), "sensor": BARREL}, turn_head, spp=2048
-)
-
-
-def pair() -> dict[str, Any]:
-    """Two cameras side by side, of different kinds."""
-    film = {"type": "hdrfilm", "width": SIZE, "height": SIZE, "rfilter": {"type": "box"}, "pixel_format": "rgb"}
-    left = sensor((1, 0, 6), 40, film={"type": "hdrfilm", "width": SIZE // 2, "height": SIZE})
-    right = sensor((-2, 0, 5), 50, type="thinlens", aperture_radius=0.3, focus_distance=5.0)
-    return {"type": "batch", "left": left, "right": right, "film": film}
-
-
-def both(params: Any, theta: Float) -> None:
-    """Turn one camera and zoom with the other one."""
-    own = djpt.Transform4f().rotate([0.6, 0.8, 0], 20 * theta)
-    params["sensor.left.to_world"] = djpt.Transform4f(params["sensor.left.to_world"]) @ own
-    params["sensor.right.x_fov"] = Float(params["sensor.right.x_fov"]) + 20 * theta
-
-
-CASES |= {
-    f"two cameras: {name}": Case(lambda: {**lens("a ball"), "sensor": pair()}, move, spp=512)
-    for name, move in (("they move", both), ("a ball moves", shift("ball.to_world")))
-}
-
-
-def shine(x: float, y: float, z: float) -> Move:
-    """Move a point of light."""
-
-    def move(params: Any, theta: Float) -> None:
-        params["light.position"] = djpt.Point3f(params["light.position"]) + djpt.Vector3f(x, y, z) * theta
-
-    return move
-
-
-def swing(params: Any, theta: Float) -> None:
-    """Turn a light about its own place, and move it."""
-    own = djpt.Transform4f().rotate([0.8, -0.6, 0], 10 * theta)
-    there = djpt.Transform4f().translate([0.5 * theta, 0, 0.3 * theta])
-    params["light.to_world"] = there @ djpt.Transform4f(params["light.to_world"]) @ own
-
-
-SPOT = {
-    "type": "spot",
-    "to_world": T().look_at([2, 2, 6], [0, 0, 0], [0, 1, 0]),
-    "intensity": 60.0,
-    "cutoff_angle": 30.0,
-}
-CASES |= {
-    f"a light that moves: {name}": Case(
-        lambda light=light: {
-            "ball": ball({"type": "roughplastic", "alpha": 0.3}, center=[1, 1, 3], radius=0.4),
-            "board": {"type": "rectangle", "to_world": T().translate([-0.5, 0, 1]).rotate([1, 1, 0], 30).scale(0.7)},
-            "light": light,
-            "floor": {**FLOOR, "bsdf": {"type": "diffuse", "reflectance": SPOTS}},
-            "sensor": ASIDE,
-        },
-        move,
-        ("prb_projective",) if depth > 2 else Case.kinds,
-        depth=depth,
-        spp=512,
-    )
-    for name, light, move, depth in (
-        ("a point", POINT, shine(1, 0.3, 0.5), 2),
-        ("a point, seen indirectly", POINT, shine(1, 0.3, 0.5), 4),
-        ("a spot", SPOT, swing, 2),
-        ("the sun", {"type": "directional", "to_world": T().look_at([3, 3, 10], [0, 0, 0], [0, 1, 0])}, swing, 2),
-    )
-}
-BEAM = {
-    "type": "projector",
-    "to_world": T().look_at([2, 2, 6], [0.2, 0, 0], [0, 1, 0]),
-    "irradiance": SPOTS,
-    "scale": 20.0,
-    "fov": 20.0,
-}
-CASES |= {
-    f"the beam of a projector: {name}": Case(
-        lambda nodes=nodes: {
-            "board": {
-                "type": "rectangle",
-                "to_world": T().translate([-0.5, 0, 1]).rotate([0.6, 0.8, 0], 30).scale(0.7),
-            },
-            "light": BEAM,
-            "floor": FLOOR,
-            "sensor": ASIDE,
-            **nodes,
-        },
-        move,
-        PRB if depth > 2 else Case.kinds,
-        depth=depth,
-        step=0.01,
-        spp=512,
-        spp_difference=16384,
-    )
-    for name, move, depth, nodes in (
-        ("it moves", swing, 2, {}),
-        ("a floor rises", shift("floor.to_world", 0, 0, 1), 2, {}),
-        ("a board moves", shift("board.to_world", 1, 0, 0.5), 2, {}),
-        ("a camera moves", shift("sensor.to_world", 1, 0, 0), 2, {}),
-        ("it moves, seen indirectly", swing, 4, {"wall": WALL}),
-    )
 }

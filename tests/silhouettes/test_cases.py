@@ -5,7 +5,10 @@ from __future__ import annotations
 import pytest
 
 from djpt.core.transforms import ScalarTransform4f as T
-from tests.silhouettes.cases import CASES, INTERIOR, PRB, Case, plate, sky, turn
+from tests.silhouettes import camera_cases, cases, light_cases
+from tests.silhouettes.cases import INTERIOR, PRB, Case, plate, sky, turn
+
+CASES = cases.CASES | camera_cases.CASES | light_cases.CASES
 
 QUICK = {
     "a camera, turn: a globe": "prb_projective",

@@ -12,7 +12,8 @@ import djpt
 from djpt.core.transforms import ScalarTransform4f as T
 from djpt.integrators.projective.viewpoints import sampled_from_many
 from djpt.jit.types import Bool, Float, Point3f, UInt32
-from tests.silhouettes.cases import GROUND, SPOTS, Case, Move, ball, edit, sensor, shift, slide, turn_head
+from tests.silhouettes.camera_cases import GROUND
+from tests.silhouettes.cases import SPOTS, Case, Move, ball, edit, sensor, shift, slide, turn_head
 from tests.silhouettes.test_projective import octahedron
 
 LAMP = {"type": "area", "radiance": SPOTS}
