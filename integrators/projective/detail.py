@@ -231,10 +231,9 @@ class ProjectiveDetail:
         count = dr.width(places_of(mass > 0))
         if not count:
             return
-        if parent.octree_contruction_thres == 0 and count >= FEW_SAMPLES:
-            mean = float(dr.sum(mass)[0]) / count
-            parent.octree_contruction_thres = mean * parent.octree_construction_mean_mult
         tree.mass_contruction_thres = parent.octree_contruction_thres
+        if tree.mass_contruction_thres == 0 and count >= FEW_SAMPLES:
+            tree.mass_contruction_thres = float(dr.sum(mass)[0]) / count * parent.octree_construction_mean_mult
         try:
             tree.set_points(points, mass, seed)
         except RenderError:

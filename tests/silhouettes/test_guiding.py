@@ -11,6 +11,7 @@ import pytest
 import djpt
 from djpt.errors import RenderError
 from djpt.jit.types import Color3f, Float, Point3f, UInt32
+from tests.silhouettes.cases import FLOOR, LAMP, ball, sensor
 
 
 def sampler(lanes: int, seed: int = 1) -> Any:
@@ -113,3 +114,27 @@ def test_octrees_that_cannot_be_built() -> None:
     tree = djpt.ad.guiding.OcSpaceDistr(5, 1000, 4, function, 0.1, 1e-8, 10)
     with pytest.raises(RenderError, match="no sample has mass above the threshold"):
         tree.set_points(Point3f(0.5), Float(0))
+
+
+def test_guides_do_not_depend_on_earlier_images(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each learns from the samples of its own seed, also the mass below which samples don't count."""
+    monkeypatch.setattr("djpt.integrators.projective.detail.FEW_SAMPLES", 1)
+
+    def under(*brightness: float) -> float:
+        """The derivative under the last of some lamps, after images under the others."""
+        nodes = {"sensor": sensor(), "floor": FLOOR, "moving": ball(center=[1, 1, 3], radius=0.4), "light": LAMP}
+        how = {"type": "direct_projective", "sppc": 0, "sppp": 0}
+        scene = djpt.load_dict({"type": "scene", "integrator": how, **nodes})
+        params = djpt.traverse(scene)
+        for radiance in brightness:
+            theta = Float(0)
+            dr.enable_grad(theta)
+            params["moving.to_world"] = djpt.Transform4f().translate([1 + theta, 1, 3]).scale(0.4)
+            params["light.emitter.radiance.value"] = radiance
+            params.update()
+            loss = dr.sum(djpt.render(scene, params, spp=16, seed=2), axis=None)
+            dr.forward(theta)
+            derivative = float(np.array(dr.grad(loss)).ravel()[0])
+        return derivative
+
+    assert under(60, 0.6) == under(0.6) != 0
