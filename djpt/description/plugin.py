@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import drjit as dr
 
+from djpt.description.class_names import CLASS_NAMES
+from djpt.description.registry import name_of
 from djpt.errors import DjptError, RenderError
 from djpt.jit.backends import variant
 from djpt.jit.frozen import Holder
@@ -206,8 +208,9 @@ class Plugin(Holder):
         return self.to_world if self.motion is None else self.motion  # type: ignore[attr-defined]
 
     def class_name(self) -> str:
-        """The name of the plugin's class."""
-        return type(self).__name__
+        """The name of the plugin's class in Mitsuba, where it has one."""
+        name = name_of(type(self))
+        return CLASS_NAMES.get(name, type(self).__name__) if name else type(self).__name__
 
     def variant_name(self) -> str:
         """The variant that the plugin computes in."""
@@ -240,7 +243,7 @@ class Plugin(Holder):
                 listing.put(name, getattr(self, name))
         self.traverse(listing)
         body = textwrap.indent(",\n".join(listing.lines), "  ")
-        return f"{type(self).__name__}[\n{body}\n]" if body else f"{type(self).__name__}[]"
+        return f"{self.class_name()}[\n{body}\n]" if body else f"{self.class_name()}[]"
 
     def traverse(self, callback: TraversalCallback) -> None:
         """Report all parameters; by default the `values`, the `tables` and the `children`."""

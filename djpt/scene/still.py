@@ -10,6 +10,7 @@ import numpy as np
 
 from djpt.core.transforms import ScalarTransform4f
 from djpt.description.animation import AnimatedTransform4f
+from djpt.description.registry import name_of
 from djpt.errors import RenderError
 from djpt.jit.kernels import may_wait
 from djpt.jit.types import Float, Point3f
@@ -76,10 +77,10 @@ class StillScene:
             if motion is not None:
                 raise RenderError(f"'{shape.id()}' moves: there are derivatives by its keyframes, not by its vertices")
             shape.vertex_positions = attached
-        if shape.class_name() == "ShapeGroup":
+        if name_of(type(shape)) == "shapegroup":
             shape.named = [(key, self.copy_of(inner)) for key, inner in shape.named]
             return
-        if shape.class_name() == "Instance":
+        if name_of(type(shape)) == "instance":
             shape.group = self.copy_of(shape.group)
         else:
             shape._emitter, shape._sensor = self.copy_of(shape._emitter), self.copy_of(shape._sensor)

@@ -16,6 +16,7 @@ from djpt.core.records import DirectionSample3f, PositionSample3f
 from djpt.core.transforms import ScalarTransform4f, as_transform
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
+from djpt.description.registry import name_of
 from djpt.errors import ParameterError, SceneError
 from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.shapes.axes import AxisPool, ProjectedRay, SignedAxis
@@ -161,7 +162,7 @@ class Shape(ShapeQuestions):
         if self._sensor is not None:
             self.motion.demand("similar", "must scale uniformly: the shape carries a sensor")
         if self.misfit(np.diag([1.0, 2.0, 3.0, 1.0])):
-            self.motion.demand("similar", f"must scale uniformly: the shape is a '{self.class_name().lower()}'")
+            self.motion.demand("similar", f"must scale uniformly: the shape is a '{name_of(type(self))}'")
 
     def motion_flags(self) -> ParamFlags:
         """The flags of a parameter that places the shape: there are derivatives if its silhouettes are followed."""

@@ -35,7 +35,7 @@ def test_descriptions_look_where_the_resolver_says(folder: Path) -> None:
     djpt.Thread.thread().file_resolver().prepend(str(folder / "meshes"))
     assert len(djpt.load_file("scene.xml").shapes()) == 1
     assert len(djpt.load_string(XML).shapes()) == 1
-    assert djpt.load_dict(plugin).class_name() == "Ply"
+    assert djpt.load_dict(plugin).class_name() == "PLYMesh"
 
 
 def test_the_list_of_directories() -> None:

@@ -87,8 +87,8 @@ def test_a_plugin_from_properties() -> None:
     props.set_id("mine")
     made = manager.create_object(props)
     assert made.max_depth == 4 and made.id() == "mine" and isinstance(made, djpt.Object)
-    assert made.variant_name() == djpt.variant() and made.class_name() == "Path"
-    assert str(made) == "Path[\n  max_depth = 4,\n  rr_depth = 5\n]"
+    assert made.variant_name() == djpt.variant() and made.class_name() == "PathIntegrator"
+    assert str(made) == "PathIntegrator[\n  max_depth = 4,\n  rr_depth = 5\n]"
     props["max_dept"] = 4
     with pytest.raises(SceneError, match="unknown key 'max_dept'"):
         manager.create_object(props)
@@ -222,3 +222,30 @@ def test_a_plugin_may_report_a_value_that_no_attribute_holds():
     params.update()
     assert Passing.changed == ["passing"] and bsdf.passing[0] == 0.5
     assert djpt.traverse(bsdf)["passing"][0] == 0.5
+
+
+def test_class_names_are_those_of_mitsuba(mi: Any) -> None:
+    """Of a plugin of each kind, alone and in a scene."""
+
+    def names(m: Any) -> list[str]:
+        scene = m.load_dict(m.cornell_box())
+        sensor = scene.sensors()[0]
+        parts = [scene, scene.integrator(), sensor, sensor.film(), sensor.sampler(), sensor.film().rfilter()]
+        parts += [*scene.emitters(), scene.shapes()[-1].bsdf()]
+        alone = ["moment", "volpath", "ptracer", "hg", "envmap", "roughconductor", "checkerboard", "homogeneous"]
+        alone += ["sphere", "rectangle"]
+        nested = {"moment": {"i": {"type": "path"}}, "envmap": {"bitmap": m.Bitmap(np.ones((4, 4, 3), np.float32))}}
+        parts += [m.load_dict({"type": name, **nested.get(name, {})}) for name in alone]
+        if m is djpt:
+            assert all(str(part).startswith(f"{part.class_name()}[") for part in parts[1:])
+        return [part.class_name() for part in parts]
+
+    assert names(djpt) == names(mi)
+
+
+def test_a_class_of_a_script_has_its_own_name() -> None:
+    class Chalk(djpt.BSDF):
+        pass
+
+    djpt.register_bsdf("chalk_of_this_test", Chalk)
+    assert djpt.load_dict({"type": "chalk_of_this_test"}).class_name() == "Chalk"

@@ -63,7 +63,7 @@ class Rendering:
         """The rendering of a scene by an integrator."""
         shapes = scene.shapes()
         moving = tuple(s for s in shapes if s.parameters_grad_enabled() and not s.is_ellipsoids())
-        seen = tuple(s for s in shapes if s.class_name() != "ShapeGroup")
+        seen = tuple(s for s in shapes if name_of(type(s)) != "shapegroup")
         camera = sensor if sensor and sensor.attached_names() else None
         lights = tuple(e for e in scene.emitters() if e.is_moving() and has_flag(e.flags(), EmitterFlags.Delta))
         return Rendering(scene, integrator, moving, seen, sensor, camera, lights)
