@@ -308,8 +308,13 @@ class Properties(Entries):
         low: builtins.float | None = None,
         high: builtins.float | None = None,
     ) -> Texture:
-        """A texture of colours; a number becomes a constant grey. Its values must lie between `low` and `high`."""
-        return self._texture(key, default, "rgb", Allowed(low, high))
+        """A texture of colours; a number becomes a constant grey. Its values must lie between `low` and `high`.
+
+        Images may exceed `high`, with a warning.
+        """
+        texture = self._texture(key, default, "rgb")
+        texture.restrict_colors(Allowed(low, high), f"{self._place(key)}: '{key}'")
+        return texture
 
     def texture_1(
         self,
@@ -324,9 +329,11 @@ class Properties(Entries):
 
         Its values must lie between `low` (included unless `low_open`) and `high`.
         """
-        return self._texture(key, default, "uniform", Allowed(low, high, low_open))
+        texture = self._texture(key, default, "uniform")
+        texture.restrict(Allowed(low, high, low_open), f"{self._place(key)}: '{key}'")
+        return texture
 
-    def _texture(self, key: str, default: builtins.float, constant: str, allowed: Allowed) -> Texture:
+    def _texture(self, key: str, default: builtins.float, constant: str) -> Texture:
         value = self._take(key, default)
         if not isinstance(value, Plugin):
             if isinstance(value, (list, tuple, np.ndarray)):
@@ -347,7 +354,6 @@ class Properties(Entries):
             raise self.error(key, f"must be a number or a texture, found {name_of(value)}")
         texture: Texture = value
         texture.used_by(kind_of(self.plugin_name()) or "")
-        texture.restrict(allowed, f"{self._place(key)}: '{key}'")
         return texture
 
     def volume(

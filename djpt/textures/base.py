@@ -115,6 +115,10 @@ class Texture(Plugin):
         """
         raise NotImplementedError
 
+    def restrict_colors(self, allowed: Allowed, where: str) -> None:
+        """`restrict` for colours that light is multiplied by: images may exceed the upper bound, with a warning."""
+        self.restrict(allowed, where)
+
 
 def check_textures(shapes: Sequence[Any]) -> None:
     """Raise `SceneError` if a texture of a BSDF can't be used on its shape."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+import warnings
 from collections.abc import Mapping, Sequence
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -156,6 +157,19 @@ class Bitmap(UVTexture):
     def restrict(self, allowed: Allowed, where: str) -> None:
         allowed.require(numbers_of(self.data), where)
         self._allowed = self._allowed.within(allowed)
+
+    def restrict_colors(self, allowed: Allowed, where: str) -> None:
+        pixels = numbers_of(self.data)
+        above = 0.0 if allowed.high is None else float(np.mean(pixels > np.float32(allowed.high)))
+        if above:
+            # Resampled photographs overshoot a little; Mitsuba renders them as they are.
+            warnings.warn(
+                f"{where} exceeds {allowed.high:g} in {100 * above:.2g} % of the image's numbers, up to "
+                f"{pixels.max():.4g}: more light leaves than arrives there",
+                stacklevel=2,
+            )
+            allowed = allowed._replace(high=None)
+        self.restrict(allowed, where)
 
     def check_parameter(self, name: str, value: Any) -> Any:
         if name != "data":

@@ -66,5 +66,9 @@ class Checkerboard(UVTexture):
         self.color0.restrict(allowed, where)
         self.color1.restrict(allowed, where)
 
+    def restrict_colors(self, allowed: Allowed, where: str) -> None:
+        self.color0.restrict_colors(allowed, where)
+        self.color1.restrict_colors(allowed, where)
+
 
 register_texture("checkerboard", Checkerboard)

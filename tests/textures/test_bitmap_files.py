@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import drjit as dr
 import numpy as np
 import pytest
 from PIL import Image as Pictures
@@ -210,10 +211,28 @@ def test_files_that_cant_be_used(tmp_path: Path) -> None:
     for name, image, message in (
         ("nan", np.full((2, 2, 3), np.nan), "'filename' must be finite, found nan in row 0, column 0"),
         ("many", numbers(2, 2, 5), "'filename' must have 1 to 4 channels"),
-        ("bright", 2 * np.ones((2, 2, 3)), "'reflectance' must lie in [0, 1], found 2"),
+        ("dark", -np.ones((2, 2, 3)), "'reflectance' must lie in [0, 1], found -1"),
     ):
         djpt.write(tmp_path / f"{name}.exr", image)
         assert message in problem(filename=str(tmp_path / f"{name}.exr"))
+
+
+def test_images_brighter_than_white_warn_and_are_rendered_as_they_are() -> None:
+    image = np.full((2, 2, 3), 0.5, np.float32)
+    image[0, 0] = 1.25
+    bright = {"type": "bitmap", "data": image, "filter_type": "nearest"}
+    for texture in (bright, {"type": "checkerboard", "color0": bright, "color1": bright}):
+        with pytest.warns(UserWarning, match=r"diffuse: 'reflectance' exceeds 1 in 25 % .* up to 1\.25"):
+            loaded = djpt.load_dict({"type": "diffuse", "reflectance": texture})
+        si = dr.zeros(djpt.SurfaceInteraction3f)
+        si.uv = djpt.Point2f(0.25, 0.25)
+        np.testing.assert_allclose(np.array(loaded.eval_diffuse_reflectance(si)).ravel(), 1.25)
+    params = djpt.traverse(djpt.load_dict(bright))
+    params["data"] = djpt.TensorXf(2 * image)
+    params.update()
+    # Numbers that aren't colours have no meaning there.
+    with pytest.raises(djpt.SceneError, match=r"'roughness' must lie in \[0, 1\], found 1\.25"):
+        djpt.load_dict({"type": "principled", "roughness": bright})
 
 
 def test_images_that_cant_be_used(mi: Any) -> None:
