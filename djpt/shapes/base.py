@@ -212,6 +212,7 @@ class Shape(ShapeQuestions):
 
     def stand_alone(self) -> None:
         self.place(AxisPool())
+        self.bsdf()  # reported by `traverse`
         for nested in (self._emitter, self._sensor):
             if nested is not None and nested.shape is None:
                 nested.set_shape(self)

@@ -55,3 +55,12 @@ def test_a_stopwatch(capsys: pytest.CaptureFixture[str]) -> None:
     assert timer.reset() >= 0 and timer.value() < 1000
     with pytest.raises(DjptError, match="'writing' hasn't begun"):
         timer.end_stage("writing")
+
+
+@pytest.mark.parametrize("name", ["sphere", "rectangle", "cube", "disk", "cylinder"])
+def test_a_lone_shape_has_the_parameters_of_mitsubas(mi: Any, name: str) -> None:
+    """That of the material it gets if it has none, too."""
+    ours, theirs = (m.traverse(m.load_dict({"type": name})) for m in (djpt, mi))
+    assert set(ours.keys()) == set(theirs.keys())
+    ours["bsdf.reflectance.value"] = djpt.Color3f(0.1, 0.2, 0.3)
+    ours.update()
