@@ -8,7 +8,9 @@ fewer and ends with more. For what moves it compares images on both sides of eac
 sampling.
 
 The error is the mean absolute difference from the true values, relative to that at the start. Seconds are those of the
-processor (of all threads), of the search alone: kernels are compiled before, and errors aren't timed.
+processor, of the search alone: kernels are compiled before, and errors aren't timed. There is one thread, since threads
+of Dr.Jit that wait for others keep the processor busy: beside other programs, small kernels would seem to take several
+times as long as they do.
 
     python benchmarks/inverse.py --page docs/inverse.md
 
@@ -362,7 +364,7 @@ DESCRIBED = (
     "where noise hides the second order, by Adam with the middle one of the rates. Both have the same start, pictures "
     "of their own, and the same number of samples per pixel, but `least_squares` begins with fewer and ends with more. "
     "The error is the mean absolute difference from the truth relative to that at the start; seconds are those of the "
-    "processor, of all threads, kernels compiled before. A dash: the error wasn't reached; the time until then is a "
+    "processor, of one thread, kernels compiled before. A dash: the error wasn't reached; the time until then is a "
     "bound on the ratio."
 )
 
@@ -373,7 +375,9 @@ def main() -> int:
     parser.add_argument("problems", nargs="*", choices=[*PROBLEMS, []], default=[])
     parser.add_argument("--page", type=Path, metavar="FILE", help="write a page in Markdown, with pictures")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the courses of all searches")
+    parser.add_argument("--threads", type=int, default=1, help="of both renderers (default: 1)")
     chosen = parser.parse_args()
+    dr.set_thread_count(chosen.threads)
     import mitsuba as mi
 
     mi.set_variant("llvm_ad_rgb")

@@ -56,8 +56,8 @@ class Problem:
     """Whether Adam's steps are divided by the largest gradient, as large steps on meshes need."""
     iterations: int = 60
     """The most steps of djpt."""
-    steps: int = 120
-    """The most steps of Adam."""
+    steps: int = 2000
+    """The most steps of Adam; it is given up after some seconds as well."""
     size: int = 64
 
 
@@ -255,7 +255,6 @@ def pose() -> Problem:
         coarse=3,
         differences=0.15,
         iterations=12,
-        steps=80,
     )
 
 
@@ -301,6 +300,7 @@ def roughness() -> Problem:
         (0.05, 1.0),
         "least_squares",
         frozen=True,
+        fewer=2,
         spp=16,
     )
 
@@ -455,7 +455,6 @@ def view() -> Problem:
         coarse=3,
         differences=0.1,
         iterations=16,
-        steps=80,
     )
 
 

@@ -9,6 +9,7 @@ import pytest
 
 import djpt
 from djpt.apps.optimization import least_squares
+from djpt.apps.optimization.least_squares import Problem
 from djpt.apps.optimization.passes import Passes, halved
 from djpt.errors import RenderError
 
@@ -164,3 +165,23 @@ def test_derivatives_take_images_that_are_known(frozen: bool) -> None:
     found = passes.reverse(x(at), weights, images, 2, 0)["x"].numpy()
     expected = plain.reverse(x(at), weights * 2 * known, {}, 2, 0)["x"].numpy()
     assert np.allclose(found, expected, rtol=1e-3, atol=1e-5)
+
+
+def test_products_of_earlier_steps_serve_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """J^T J of a linear problem is the same everywhere: with products of earlier steps fewer new ones get further."""
+    rng = np.random.default_rng(8)
+    left, _, turned = np.linalg.svd(rng.normal(0, 1, (120, 30)), full_matrices=False)
+    matrix, right = left @ np.diag(np.logspace(1, 0, 30)) @ turned, rng.normal(0, 1, 120).astype(np.float32)
+    best, errors, counts = matrix @ np.linalg.lstsq(matrix, right, rcond=None)[0], list[float](), list[int]()
+    for forgetful in (False, True):
+        problem = Problem(Passes(linear(matrix, right), False), {"x": dr.zeros(djpt.Float, 30)}, {}, {})
+        products = list[Any]()
+        monkeypatch.setattr(problem, "forward", lambda *a, f=problem.forward, p=products: p.append(a) or f(*a))
+        x = problem.start
+        for i in range(7):
+            if forgetful:
+                problem.products.clear()
+            x = x + problem.system(x, problem.residuals(x, i), i, 1e-6).step(1e-6)
+        errors.append(float(np.linalg.norm(matrix @ x - best) / np.linalg.norm(best)))
+        counts.append(len(products))
+    assert errors[0] < min(1e-4, 0.1 * errors[1]) and counts[0] < 0.8 * counts[1]

@@ -11,9 +11,10 @@ loss and rises after those that don't, which are taken back (Levenberg 1944, Mar
 * Few variables have all columns of J computed: one forward derivative each, or the difference of two images with the
   same random numbers. A difference over the width of a pixel is the derivative of a blurred picture, edges and shadows
   included, costs two images without any derivative, and knows the way from farther away (Fischer and Ritschel 2023).
-* Many have J^T J v by one forward and one reverse derivative per product. A Krylov basis of few products serves all
+* Many have J^T J v by one forward and one reverse derivative per product. A basis of few products serves all
   dampings, since D scales the variables to equal curvature, after which damping is a shift. It ends where one more
-  product would hardly lower the loss further, after two or three far from the minimum.
+  product would hardly lower the loss further, after two or three far from the minimum; those of the last steps are
+  used again, since J^T J changes little.
 
 Noise: r and J come from different samples, so that J^T r has the right mean, and its zero is where the search ends.
 The product of one estimate of J with itself is too large by its variance, which makes steps too short, tenfold where
@@ -21,9 +22,9 @@ silhouettes move. So columns of derivatives are computed twice, and J^T J is the
 Matrix-free it is that of one, so steps are shorter where derivatives are noisy, and their minimum is the same. That is
 of use there: what the noise adds to J^T J keeps combinations in place which pictures hardly show. By two estimates a
 sky of 384 numbers came to 0.19 of its error at the start, by one to 0.11.
-Steps are judged by two images with the same random numbers, whose noise mostly cancels. Where the loss hardly falls any
-more, noise is larger than what is left to gain, and from then on twice as many images are averaged. When there are as
-many as may be, steps become shorter, in the end like 1 / i, which averages over steps.
+Steps are judged by images with the same random numbers, whose noise mostly cancels: by half of those that are averaged.
+Where the loss hardly falls any more, noise is larger than what is left to gain, and from then on twice as many images
+are averaged. When there are as many as may be, steps become shorter, in the end like 1 / i, which averages over steps.
 
 Of small images most time goes into tracing. With `frozen`, `dr.freeze` does that once for each of three functions: the
 residuals and their derivatives in both directions.
@@ -54,10 +55,19 @@ DENSE = 12
 """The number of entries, of all variables together, up to which all columns of J are computed."""
 
 PRODUCTS = 8
-"""The most products of a step in a Krylov basis."""
+"""The most products of a step."""
 
 ENOUGH = 0.1
 """The share of what a step gains below which the last product hasn't changed it."""
+
+KEPT = 24
+"""The number of products that are kept for later steps."""
+
+APART = 0.3
+"""The length of a kept vector without its part in the space, relative to the whole, below which it is left out."""
+
+ESTIMATES = 4
+"""The number of estimates of diag(J^T J), from as many steps."""
 
 TRIES = 5
 """The number of dampings that are tried from one place."""
@@ -161,6 +171,7 @@ def least_squares(
         halvings = max(0, coarse - i * (coarse + 1) // iterations)
         if halvings != problem.halvings:
             problem.halvings, damping = halvings, min(damping, first)
+            problem.products.clear()
             problem.refined = coarse - halvings
         number = round_seed(seed, i)
         now = problem.residuals(x, number)
@@ -171,16 +182,20 @@ def least_squares(
             stalled += problem.images >= images
             problem.images = min(2 * problem.images, max(1, images))
         losses.append(loss)
+        # The same random numbers: half of the images are enough to judge steps by.
+        judging, before = problem.judged
         system = problem.system(x, now, number, damping)
         for _ in range(TRIES):
             moved = problem.within(x + system.step(damping) / (1 + stalled / PATIENCE))
-            after = float(np.mean(np.square(problem.residuals(moved, number))))
-            if after < loss:
+            after = float(np.mean(np.square(problem.residuals(moved, number, judging))))
+            if after < before:
                 x, damping = moved, max(damping * FALLS, LEAST)
                 break
             damping, taken_back = min(damping * RISES, MOST), taken_back + 1
         else:
+            # Kept products may belong to a place too far away.
             damping = first
+            problem.products.clear()
         if i >= iterations - max(1, iterations // 4):
             sums, counted = sums + x, counted + 1
         if callback is not None and callback(i, loss, problem.variables(x)):
@@ -218,6 +233,9 @@ class Problem:
         """The images of the last residuals."""
         self._known = self._images
         """The images at the place from which a step begins."""
+        self.judged = 1, np.inf
+        self.products: list[tuple[Doubles, Doubles]] = []
+        """Vectors v and estimates of J^T J v, the latest last, of this size of images."""
         self.squares, self.estimates = np.zeros_like(self.start), 0
         """The sum of estimates of diag(J^T J), and their number."""
 
@@ -250,13 +268,18 @@ class Problem:
         """The seeds of the images that are averaged."""
         return [seed, *(round_seed(seed, 16 + k) for k in range(1, self.images))]
 
-    def residuals(self, x: Doubles, seed: int) -> Doubles:
-        """The residuals at a vector: means over as many images as are averaged."""
-        total, seeds = np.zeros(()), self.seeds(seed)
-        for each in seeds:
+    def residuals(self, x: Doubles, seed: int, count: int = 0) -> Doubles:
+        """The residuals at a vector: means over `count` images, or as many as are averaged.
+
+        `judged` is then the first half of the images, their number and the loss of their mean.
+        """
+        total, seeds = np.zeros(()), self.seeds(seed)[: count or None]
+        for k, each in enumerate(seeds):
             # New arrays each time: the scene keeps them, and to `dr.freeze` two inputs that are one array are news.
             found, self._images = self._passes.residuals(self.variables(x), each, self.halvings)
             total = total + np.array(found, np.float64)
+            if k == (len(seeds) - 1) // 2:
+                self.judged = k + 1, float(np.mean(np.square(total / (k + 1))))
         self._shape, self._kind = found.shape, type(found)
         return total.ravel() / len(seeds)
 
@@ -335,10 +358,16 @@ class Dense:
 
 
 class MatrixFree:
-    """J^T J as products, in the space that Krylov's vectors q span, begun with the slope.
+    """J^T J as products, in the space of the vectors of the last steps and of those that are added for the residuals.
+
+    The Gauss-Newton matrix changes little from step to step. So products with it serve again, as in Krylov methods that
+    recycle (Parks et al., "Recycling Krylov Subspaces for Sequences of Linear Systems", SIAM Journal on Scientific
+    Computing 28, 2006), and their noise averages out. The first vector to be added is the slope, the next ones are what
+    the step leaves of it.
 
     Variables are divided by the roots of diag(J^T J). It is the mean of (J^T v)^2 over random signs v of the residuals,
-    of which each step adds one estimate; since few are noisy, the mean of each variable is added: units may differ.
+    of which each of the first steps adds one estimate; since few are noisy, the mean of each variable is added: units
+    may differ.
 
     Args:
         problem: What is solved.
@@ -350,37 +379,58 @@ class MatrixFree:
 
     def __init__(self, problem: Problem, x: Doubles, now: Doubles, seed: int, damping: float) -> None:
         one, other = round_seed(seed, 1), round_seed(seed, 2)
-        signs = np.random.default_rng(one).choice([-1.0, 1.0], now.size)
-        problem.squares += np.square(problem.reverse(x, signs, other))
-        problem.estimates += 1
+        if problem.estimates < ESTIMATES:
+            signs = np.random.default_rng(one).choice([-1.0, 1.0], now.size)
+            problem.squares += np.square(problem.reverse(x, signs, other))
+            problem.estimates += 1
         squares = problem.squares / problem.estimates
         self._scale = 1 / np.sqrt(np.maximum(squares + problem.means(squares), 1e-30))
-        left = -self._scale * problem.reverse(x, now, one)
-        self._norm = float(np.linalg.norm(left))
-        basis, products, gain = list[Doubles](), list[Doubles](), 0.0
-        self._basis, self._small = np.zeros((0, x.size)), np.zeros((0, 0))
+        self._slope = -self._scale * problem.reverse(x, now, one)
+        norm = float(np.linalg.norm(self._slope))
+        self._basis, self._bent = np.zeros((0, x.size)), np.zeros((0, x.size))
+        for v, product in problem.products[::-1]:
+            self._extend(v / self._scale, self._scale * product)
+        left, gain = self._slope, self._gain(damping)
         for _ in range(min(PRODUCTS, x.size)):
-            length = float(np.linalg.norm(left))
-            if length <= SMALL * max(self._norm, 1e-30):
+            q = self._apart(left)
+            length = float(np.linalg.norm(q))
+            if length <= SMALL * max(norm, 1e-30):
                 break
-            basis.append(left / length)
-            bent = self._scale * problem.reverse(x, problem.forward(x, self._scale * basis[-1], other), other)
-            products.append(bent)
-            self._basis = np.stack(basis)
-            self._small = positive(self._basis @ np.stack(products).T)
-            before, gain = gain, float(self._inner(damping)[0])
+            q /= length
+            bent = self._scale * problem.reverse(x, problem.forward(x, self._scale * q, other), other)
+            problem.products.append((self._scale * q, bent / self._scale))
+            self._extend(q, bent)
+            before, gain = gain, self._gain(damping)
             if gain - before < ENOUGH * gain:
                 break
-            # Twice, since a single pass leaves the rounding of single precision.
-            for _ in range(2):
-                bent = bent - self._basis.T @ (self._basis @ bent)
-            left = bent
+            # What the step leaves of the slope, by all products so far.
+            left = self._slope - self._inner(damping) @ self._bent
+        del problem.products[:-KEPT]
+
+    def _apart(self, vector: Doubles) -> Doubles:
+        """A vector without its part in the space. Twice, since one pass leaves the rounding of single precision."""
+        for _ in range(2):
+            vector = vector - self._basis.T @ (self._basis @ vector)
+        return vector
+
+    def _extend(self, vector: Doubles, product: Doubles) -> None:
+        """Add a vector and its product with J^T J to the space."""
+        across = self._basis @ vector
+        rest = vector - self._basis.T @ across
+        length = float(np.linalg.norm(rest))
+        if length <= APART * float(np.linalg.norm(vector)):
+            return
+        self._basis = np.vstack([self._basis, rest / length])
+        self._bent = np.vstack([self._bent, (product - across @ self._bent) / length])
 
     def _inner(self, damping: float) -> Doubles:
-        """The step in the basis, whose first number is in proportion to what it gains."""
-        count = len(self._basis)
-        first = self._norm * np.eye(count)[:, 0] if count else np.zeros(0)
-        return np.asarray(np.linalg.solve(self._small + damping * np.eye(count), first))
+        """The step in the basis."""
+        small = positive(self._basis @ self._bent.T)
+        return np.asarray(np.linalg.solve(small + damping * np.eye(len(small)), self._basis @ self._slope))
+
+    def _gain(self, damping: float) -> float:
+        """A number in proportion to what the step gains."""
+        return float(self._basis @ self._slope @ self._inner(damping)) if len(self._basis) else 0.0
 
     def step(self, damping: float) -> Doubles:
         """The step at a damping."""
