@@ -4,9 +4,10 @@
 
 Per scene and method: the gain, which is error times time of `path` over that of the method; in brackets the time of a
 sample and the error, both as shares of those of `path`. The error is the mean square over all pixels but those that see
-a lamp, directly, in mirrors or through glass, the bias against the mean of `bdpt` included; the time is that of all
-processor cores, all that a method does before and after its samples included. Methods are those of `djpt ladder` that
-reach all light of most scenes; in fog they are those that follow media, and `volpath` takes the place of `path`.
+a lamp, directly, in mirrors or through glass, the bias against the mean of `bdpt` (`pool`: `sppm`) included; the time
+is that of all processor cores, all that a method does before and after its samples included. Methods are those of
+`djpt ladder` that reach all light of most scenes; in fog they are those that follow media, and `volpath` takes the
+place of `path`.
 """
 
 from __future__ import annotations
@@ -40,7 +41,20 @@ FOGGY = {"caustic_in_fog": "glass_ball", "lamp_in_glass_in_fog": "lamp_in_glass"
 
 DEPTH_IN_FOG = 8
 
-SCENES = ("cornell_box", "mesh", "fixture", "lamp_in_glass", "glass_ball", "parabolic_mirror", "door_ajar", *FOGGY)
+REFERENCES = {"pool": "sppm"}
+"""The methods whose mean images are the references of scenes in which those of `bdpt` are too noisy."""
+
+SCENES = (
+    "cornell_box",
+    "mesh",
+    "fixture",
+    "lamp_in_glass",
+    "glass_ball",
+    "parabolic_mirror",
+    "door_ajar",
+    "pool",
+    *FOGGY,
+)
 """Built-in scenes, the Cornell box with a ball of triangles, and scenes in fog."""
 
 
@@ -120,14 +134,14 @@ def run(scene: Any, integrator: Any, spp: int, seeds: int, where: np.ndarray) ->
 def row(name: str, options: Any) -> str:
     """The row of a scene."""
     description = scene_of(name, options.size)
-    lamps = np.array(djpt.render(djpt.load_dict(without_paint(description)), spp=256))
+    lamps = np.array(djpt.render(djpt.load_dict(without_paint(description)), spp=16384))
     where = lamps.max(axis=2) == 0
     scene = djpt.load_dict(in_fog(description) if name in FOGGY else description)
     found = {}
     for title, integrator in integrators(name, options.methods, scene).items():
         found[title] = run(scene, djpt.load_dict(integrator), options.spp, options.seeds, where)
     first, cells = next(iter(found.values())), []
-    reference = found.get("bdpt", first)
+    reference = found.get(REFERENCES.get(name, "bdpt"), first)
     for runs in found.values():
         share, slower = runs.error(reference) / first.error(reference), runs.seconds / first.seconds
         cells.append(f"{1 / (share * slower):.2g} ({slower:.1f} x {share:.2g})")

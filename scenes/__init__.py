@@ -11,7 +11,7 @@ if __name__ != "djpt.scenes":  # a second copy of every class would be made
 
 NAMES = (
     *("cornell_box", "cornell_box_boxfilter", "cornell_box_spheres", "door_ajar", "fixture", "furnace", "glass_ball"),
-    *("lamp_behind_pane", "lamp_in_glass", "parabolic_mirror", "shader_ball", "stage"),
+    *("lamp_behind_pane", "lamp_in_glass", "parabolic_mirror", "pool", "shader_ball", "stage"),
 )
 """The keys of `SCENES`, for commands that need one of them only."""
 
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from djpt.scenes.light_paths import lamp_behind_pane as lamp_behind_pane
     from djpt.scenes.light_paths import lamp_in_glass as lamp_in_glass
     from djpt.scenes.light_paths import parabolic_mirror as parabolic_mirror
+    from djpt.scenes.light_paths import pool as pool
     from djpt.scenes.light_paths import sky as sky
     from djpt.scenes.light_paths import stage as stage
 else:

@@ -19,6 +19,7 @@ __all__ = [
     "lamp_behind_pane",
     "lamp_in_glass",
     "parabolic_mirror",
+    "pool",
     "sky",
     "stage",
 ]
@@ -142,6 +143,64 @@ def parabolic_mirror() -> dict[str, Any]:
             "bsdf": {"type": "diffuse", "reflectance": 1.0},
         },
     }
+
+
+def pool() -> dict[str, Any]:
+    """A tiled pool under a small lamp: the floor is lit and seen through waves.
+
+    Each path from the camera to the lamp has a diffuse vertex between two refractions. 128x128 pixels, `sppm` with 8
+    edges.
+    """
+    blue, white = ({"type": "rgb", "value": value} for value in ([0.15, 0.4, 0.5], [0.7, 0.75, 0.75]))
+    tiles = {"type": "checkerboard", "color0": blue, "color1": white, "to_uv": T().scale(4)}
+    plaster = {"type": "diffuse", "reflectance": 0.7}
+    sides = {
+        "back": T().translate([0, 0, -1]),
+        "front": T().translate([0, 0, 1]).rotate([0, 1, 0], 180),
+        "left": T().translate([-1, 0, 0]).rotate([0, 1, 0], 90),
+        "right": T().translate([1, 0, 0]).rotate([0, 1, 0], -90),
+    }
+    # The sides end just above the waves.
+    upright = T().translate([0, -0.65, 0]).scale([1, 0.35, 1])
+    return {
+        "type": "scene",
+        "integrator": {"type": "sppm", "max_depth": 8},
+        "sensor": {
+            "type": "perspective",
+            "fov": 35,
+            "to_world": T().look_at(origin=[0, 2.6, 1.9], target=[0, -0.7, -0.1], up=[0, 1, 0]),
+            "film": {"type": "hdrfilm", "width": 128, "height": 128, "rfilter": {"type": "gaussian"}},
+            "sampler": {"type": "independent", "sample_count": 256},
+        },
+        "lamp": {
+            "type": "rectangle",
+            "to_world": T().translate([-0.5, 2, -0.6]).rotate([1, 0, 0], 90).scale(0.05),
+            "emitter": {"type": "area", "radiance": {"type": "rgb", "value": [2200.0, 2000.0, 1700.0]}},
+        },
+        "floor": {
+            "type": "rectangle",
+            "to_world": T().translate([0, -1, 0]).rotate([1, 0, 0], -90),
+            "bsdf": {"type": "diffuse", "reflectance": tiles},
+        },
+        **{name: {"type": "rectangle", "to_world": place @ upright, "bsdf": plaster} for name, place in sides.items()},
+        "water": waves(),
+    }
+
+
+def waves(steps: int = 96) -> Any:
+    """The surface of the water of `pool`, of 2 steps^2 triangles with smooth normals: a sum of waves."""
+    from djpt.shapes.mesh import Mesh  # the other scenes need no meshes
+
+    z, x = np.mgrid[-1 : 1 : (steps + 1) * 1j, -1 : 1 : (steps + 1) * 1j]
+    kinds = ((11.0, 5.0, 0.3, 0.008), (-7.0, 15.0, 1.1, 0.006), (17.0, 13.0, 2.3, 0.003), (-20.0, 9.0, 0.7, 0.002))
+    height = sum(size * np.sin(a * x + b * z + phase) for a, b, phase, size in kinds)
+    points = np.stack([x, height - 0.4, z], -1).reshape(-1, 3).astype(np.float32)
+    corner = (np.arange(steps)[:, None] * (steps + 1) + np.arange(steps)).ravel()
+    near, right, far = corner + steps + 1, corner + 1, corner + steps + 2
+    faces = np.concatenate([np.stack([corner, near, right], 1), np.stack([right, near, far], 1)])
+    found = Mesh("water", points, faces, props={"bsdf": {"type": "dielectric", "int_ior": "water"}})
+    found.recompute_vertex_normals()
+    return found
 
 
 def room() -> dict[str, Any]:

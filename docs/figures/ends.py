@@ -9,7 +9,7 @@ from djpt.images.sheets import Tile, captioned_rows, captioned_sheet, shown
 from djpt.validation.integrator_comparison.strips import pyramid
 from places import IMAGES
 
-__all__ = ["fog_caustic", "strategies"]
+__all__ = ["fog_caustic", "pool", "strategies"]
 
 
 def strategies() -> None:
@@ -28,6 +28,18 @@ def fog_caustic() -> None:
         integrator = djpt.load_dict({"type": kind, "max_depth": 8})
         tiles.append(Tile(kind, f"{spp} samples", shown(djpt.render(scene, integrator=integrator, spp=spp))))
     djpt.write(IMAGES / "fog_caustic.png", captioned_sheet(tiles))
+
+
+def pool() -> None:
+    """The pool, seen through its waves: four methods, with samples for about the same time."""
+    description = djpt.scenes.pool()
+    description["sensor"]["film"].update(width=220, height=220)
+    scene = djpt.load_dict(description)
+    tiles = []
+    for kind, spp in (("path", 1500), ("bdpt", 600), ("sppm", 256), ("vcm", 224)):
+        integrator = djpt.load_dict({"type": kind, "max_depth": 8})
+        tiles.append(Tile(kind, f"{spp} samples", shown(djpt.render(scene, integrator=integrator, spp=spp))))
+    djpt.write(IMAGES / "pool.png", captioned_sheet(tiles))
 
 
 def foggy_ball() -> dict[str, Any]:

@@ -122,7 +122,7 @@ def test_meshes_and_instances(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", sorted({*djpt.scenes.SCENES} - {"parabolic_mirror", "lamp_behind_pane"}))
+@pytest.mark.parametrize("name", sorted({*djpt.scenes.SCENES} - {"parabolic_mirror", "lamp_behind_pane", "pool"}))
 def test_built_in_scenes(name: str) -> None:
     """16 million samples."""
     assert_converges_to_path(name, {"type": "bdpt"}, 1024, 4096)

@@ -53,6 +53,17 @@ LIT = {plugin_of(name): name for name in reversed(NAMES) if plugin_of(name) != "
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_floor_under_waves(kind: str) -> None:
+    """The pool with a lamp so large that `path` finds it, too."""
+    scene = djpt.scenes.pool()
+    scene["sensor"]["film"].update(width=16, height=16, rfilter={"type": "box"})
+    scene["lamp"]["to_world"] = scene["lamp"]["to_world"].scale(10)
+    scene["lamp"]["emitter"]["radiance"] = 20.0
+    assert_close_to_path(scene, kind, depth=8, initial_radius=0.03)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("plugin", LIT)
 @pytest.mark.parametrize("kind", KINDS)
 def test_lights(kind: str, plugin: str) -> None:
