@@ -194,27 +194,24 @@ class Renderer:
         clock = Clock()
         # Variables of this function, where `dr.freeze` finds their arrays.
         module, scene, target, apply, spp = self.module, self.scene, self.target, problem.apply, problem.spp
-        spp, spread, typed = spp // problem.fewer, problem.spread, self.typed
-
-        def whole(x: Any) -> Any:
-            return x if spread is None else typed(spread(np.array(x, np.float64)))
+        spp = spp // problem.fewer
 
         def residual(x: Any, seed: Any) -> Any:
             params = module.traverse(scene)
-            apply(module, params, whole(x["x"]))
+            apply(module, params, x["x"])
             params.update()
             return module.render(scene, params, spp=spp, seed=seed) - target
 
         def seen(i: int, loss: float, x: Any) -> bool:
             spent = clock.stop()
-            course.last = np.array(whole(x["x"]))
+            course.last = np.array(x["x"])
             course.points.append((spent, self.error(course.last)))
             clock.go()
             return course.best <= TARGETS[-1]
 
         least_squares(
             residual,
-            {"x": module.Float(np.zeros(problem.few, np.float32)) if problem.few else typed(problem.start)},
+            {"x": self.typed(problem.start)},
             bounds={"x": problem.bounds},
             differences={"x": problem.differences},
             coarse=problem.coarse,

@@ -46,10 +46,6 @@ class Problem:
     """For ``least_squares``: by what the samples per pixel are divided, of which more images are averaged then."""
     views: int = 1
     """The number of sensors whose pictures are compared."""
-    few: int = 0
-    """For ``least_squares``: the number of unknowns that it uses in place of all, zero at the start; 0: all."""
-    spread: Callable[[np.ndarray], np.ndarray] | None = None
-    """All unknowns as a function of the few."""
     seen: Callable[[np.ndarray], np.ndarray] = np.asarray
     """What is compared with that of the truth."""
     uniform: bool = False
