@@ -320,7 +320,7 @@ def test_edits_in_place_are_noticed() -> None:
 
 def test_unusable_parameters() -> None:
     # Shapes without silhouettes can't follow gradients.
-    params = djpt.traverse(djpt.load_dict({"type": "torus"}))
+    params = djpt.traverse(djpt.load_dict({"type": "sdfgrid", "grid": np.linspace(-1, 1, 8).reshape(2, 2, 2, 1)}))
     x = djpt.Float(1)
     dr.enable_grad(x)
     for value, message in (
