@@ -11,6 +11,7 @@ from djpt.jit.kernels import begin_trace
 from djpt.jit.types import Float, TensorXf
 from djpt.rendering.gradients.leaves import attached_parameters, prepare_tables, unused_values
 from djpt.rendering.gradients.unproven import require_proven
+from djpt.rendering.known_images import known_or
 from djpt.rendering.schedules.base import Schedule
 from djpt.rendering.schedules.called_sums import prepare_sums
 from djpt.rendering.schedules.choice import choose
@@ -52,7 +53,7 @@ def film_image(scene: Scene, settings: RenderSettings) -> TensorXf:
 
         image = differentiable(job, how, settings, parameters, unused)
     else:
-        image = primal(job, how)
+        image = known_or(settings, lambda: primal(job, how))
     if job.integrator.unfiltered_names():
         image = dr.concat([image, centres(job)], axis=2)
     job.film.keep(image, names)

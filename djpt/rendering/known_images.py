@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from djpt.jit.types import TensorXf
 from djpt.rendering.settings import RenderSettings
 
-__all__ = ["Images", "images_collected", "images_known", "known_or", "note_image"]
+__all__ = ["Images", "images_collected", "images_known", "known_or"]
 
 Images = dict[str, TensorXf]
 """Images by what they were rendered of, and by the number of the call."""
@@ -20,51 +20,42 @@ Images = dict[str, TensorXf]
 
 @contextmanager
 def images_collected() -> Iterator[Images]:
-    """The images that `djpt.render` returns inside."""
+    """The images that are rendered inside."""
     images: Images = {}
-    _collecting.append(images)
+    _contexts.append((images, {}, True))
     try:
         yield images
     finally:
-        _collecting.pop()
+        _contexts.pop()
 
 
 @contextmanager
 def images_known(images: Images) -> Iterator[None]:
-    """Let images that `djpt.render` attaches to parameters inside have the values of these, in the same order.
+    """Let images that are rendered inside, attached or not, have the values of these, in the same order.
 
     Where there is none of the same sensor, integrator and number of samples, images are rendered.
     """
-    _known.append((images, {}))
+    _contexts.append((images, {}, False))
     try:
         yield
     finally:
-        _known.pop()
-
-
-def note_image(settings: RenderSettings, image: TensorXf) -> None:
-    """Note an image, inside of `images_collected`."""
-    if _collecting:
-        images, kind = _collecting[-1], kind_of(settings)
-        images[f"{kind} {sum(name.startswith(kind) for name in images)}"] = image
+        _contexts.pop()
 
 
 def known_or(settings: RenderSettings, rendered: Callable[[], TensorXf]) -> TensorXf:
-    """The image of these settings that is known, inside of `images_known`, or else `rendered()`."""
-    if not _known:
+    """The image of these settings that is known, inside of `images_known`, or else `rendered()`, which is collected."""
+    if not _contexts:
         return rendered()
-    (images, counts), kind = _known[-1], kind_of(settings)
-    number = counts.get(kind, 0)
-    counts[kind] = number + 1
-    found = images.get(f"{kind} {number}")
-    return rendered() if found is None else TensorXf(found)
+    images, counts, collecting = _contexts[-1]
+    # What tells images apart whatever their seeds.
+    kind = f"{id(settings.sensor)} {type(settings.integrator).__name__} {settings.spp}"
+    counts[kind] = number = counts.get(kind, 0) + 1
+    name = f"{kind} {number}"
+    if not collecting:
+        return TensorXf(images[name]) if name in images else rendered()
+    images[name] = found = rendered()
+    return found
 
 
-def kind_of(settings: RenderSettings) -> str:
-    """What tells images apart whatever their seeds."""
-    return f"{id(settings.sensor)} {type(settings.integrator).__name__} {settings.spp};"
-
-
-_collecting: list[Images] = []
-_known: list[tuple[Images, dict[str, int]]] = []
-"""What contexts have begun, the innermost last; the counts are those of images so far."""
+_contexts: list[tuple[Images, dict[str, int], bool]] = []
+"""What has begun, the innermost last: images, the counts of each kind so far, and whether images are collected."""

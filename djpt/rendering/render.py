@@ -12,7 +12,6 @@ from djpt.errors import RenderError
 from djpt.jit.kernels import begin_trace
 from djpt.jit.types import TensorXf
 from djpt.rendering.image import film_image
-from djpt.rendering.known_images import note_image
 from djpt.rendering.progress import Progress, watched
 from djpt.rendering.settings import RenderSettings
 from djpt.samplers.seeds import Seed
@@ -91,10 +90,6 @@ def render(
         spp_grad=spp_grad,
     )
 
-    def noted(image: TensorXf) -> TensorXf:
-        note_image(settings, image)
-        return image
-
     def image(settings: RenderSettings) -> TensorXf:
         if (scene.moves or settings.sensor.moves) and not adaptive:
             from djpt.rendering.time_slices import needs_slices, sliced_image  # few scenes move
@@ -108,14 +103,14 @@ def render(
         elif settings.integrator.renders_itself():
             from djpt.rendering.gradients.own_rendering import image_by_itself
 
-            return noted(image_by_itself(scene, params, settings))
+            return image_by_itself(scene, params, settings)
         else:
             rendered = film_image
         with watched(progress, "rendering", "samples") as shown, noticing(keep_partial) as interruption:
             result = rendered(scene, replace(settings, progress=shown, interruption=interruption))
             if interruption is not None:
                 interruption.leave("the film keeps what exists")
-            return noted(result)
+            return result
 
     if denoise:
         from djpt.rendering.denoising.rendered import render_denoised

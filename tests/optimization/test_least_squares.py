@@ -142,6 +142,26 @@ def test_frozen_functions_give_the_same_steps(monkeypatch: pytest.MonkeyPatch) -
     assert len(recorded) == 3 and max(one.n_recordings for one in recorded) <= 3
 
 
+def test_images_with_unfiltered_channels_are_known() -> None:
+    """Such channels are computed each time, beside those that are known."""
+    scene, _ = painted()
+    aovs = {"type": "aov", "aovs": "z:depth", "unfiltered": True, "light": {"type": "prb", "max_depth": 2}}
+    integrator = djpt.load_dict(aovs)
+
+    def image(variables: Any, seed: Any) -> Any:
+        params = djpt.traverse(scene)
+        params["floor.bsdf.reflectance.data"] = variables["x"]
+        params.update()
+        return djpt.render(scene, params, integrator=integrator, spp=2, seed=seed)
+
+    passes, x = Passes(image, False), {"x": djpt.TensorXf(TEXELS)}
+    found, images = passes.residuals(x, 1, 0)
+    assert found.shape == (8, 8, 4) and [one.shape for one in images.values()] == [(8, 8, 3)]
+    known, other = (passes.forward(x, x, these, 2, 0).numpy() for these in (images, {}))
+    np.testing.assert_array_equal(known, other)
+    assert known.any()
+
+
 @pytest.mark.parametrize("frozen", [False, True])
 def test_derivatives_take_images_that_are_known(frozen: bool) -> None:
     """By the chain rule, the derivative of squares is twice the known image times its own derivative."""

@@ -49,7 +49,7 @@ def image_by_itself(scene: Scene, params: Any, settings: RenderSettings) -> Tens
 
     scene, parameters = differentiated(scene, integrator, sensor)
     if not parameters:
-        return primal()
+        return known_or(settings, primal)
     derivative = OwnDerivative(scene, params, settings, parameters)
     return attached_image(parameters, [], lambda: known_or(settings, primal), derivative)
 
