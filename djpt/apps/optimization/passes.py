@@ -10,6 +10,7 @@ from typing import Any
 import drjit as dr
 
 from djpt.errors import RenderError
+from djpt.jit.frozen import Holder
 from djpt.jit.types import UInt32
 from djpt.rendering.known_images import Images, images_collected, images_known
 
@@ -42,9 +43,15 @@ class Passes:
             return lambda *arguments: derived(self._function, *arguments)
         recorded = dr.freeze(derived, state_fn=lambda function, *_: reached(function), auto_opaque=False)
 
+        holders = holders_of(self._function)
+
         def launched(*arguments: Any) -> Any:
             *arrays, seed, halvings = arguments
-            return recorded(self._function, *arrays, dr.opaque(UInt32, seed), halvings)
+            try:
+                return recorded(self._function, *arrays, dr.opaque(UInt32, seed), halvings)
+            finally:
+                # Attached values that derivatives leave in a scene are another structure: all would be recorded twice.
+                dr.disable_grad([h.held[1:] for h in holders])
 
         return launched
 
@@ -65,6 +72,12 @@ def reached(function: Residual) -> list[dict[str, Any]]:
             found.append(variables)
             left += [v for v in variables.values() if isinstance(v, FunctionType) and v.__module__ == one.__module__]
     return found
+
+
+def holders_of(function: Residual) -> list[Holder]:
+    """The scenes and parameters that a function reaches, unless gradients of their arrays are enabled already."""
+    found = [v for variables in reached(function) for v in variables.values() if isinstance(v, Holder)]
+    return [holder for holder in found if not dr.grad_enabled(holder.held[1:])]
 
 
 def halved(image: Any) -> Any:
