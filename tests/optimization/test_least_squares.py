@@ -9,7 +9,7 @@ import pytest
 
 import djpt
 from djpt.apps.optimization import least_squares
-from djpt.apps.optimization.least_squares import Problem
+from djpt.apps.optimization.least_squares import Dense, Problem
 from djpt.apps.optimization.passes import Passes, halved
 from djpt.errors import RenderError
 
@@ -205,3 +205,24 @@ def test_products_of_earlier_steps_serve_again(monkeypatch: pytest.MonkeyPatch) 
         errors.append(float(np.linalg.norm(matrix @ x - best) / np.linalg.norm(best)))
         counts.append(len(products))
     assert errors[0] < min(1e-4, 0.1 * errors[1]) and counts[0] < 0.8 * counts[1]
+
+
+def test_columns_of_the_step_before_are_the_second_estimate() -> None:
+    """The product of a noisy estimate with itself is too large by its variance; that of two of them isn't."""
+    rng, count, noise = np.random.default_rng(2), 200, 0.7
+    matrix = rng.normal(0, 1, (count, 3))
+    column = dr.arange(djpt.UInt32, matrix.size) % 3
+
+    def residual(x: Any, seed: int) -> Any:
+        shaken = matrix + np.random.default_rng(seed).normal(0, noise, matrix.shape)
+        rows = djpt.Float(shaken.ravel().astype(np.float32))
+        return dr.block_sum(rows * dr.gather(djpt.Float, x["x"], column), 3) - 1
+
+    problem = Problem(Passes(residual, False), {"x": dr.zeros(djpt.Float, 3)}, {}, {})
+    found = []
+    for i in range(41):
+        system = problem.system(problem.start, problem.residuals(problem.start, i), i, 1e-2)
+        assert isinstance(system, Dense)
+        found.append(np.trace(system.normal) / np.sum(np.square(matrix)))
+    # One estimate is too large by 0.49, the mean of products of two by nothing.
+    assert abs(found[0] - 1.49) < 0.25 and abs(np.mean(found[1:]) - 1) < 0.06
