@@ -261,8 +261,9 @@ class Mesh(MeshQueries, Shape):
             value = edits.fitting_rows(name, old.shape[1], count)
             attributes[name] = (np.zeros((count, old.shape[1]), np.float32) if value is None else value, kind)
 
-        # When an edit is undone the old normals must return, also those that the mesh was made with.
-        moved = resized or not np.array_equal(positions, self.positions)
+        # When an edit is undone the old normals must return, also those that the mesh was made with. Derivatives by the
+        # positions are those of an image whose normals follow from them.
+        moved = resized or not np.array_equal(positions, self.positions) or self.parameters_grad_enabled()
         self.positions, self.indices, self.texcoords, self.attributes = positions, indices, texcoords, attributes
         self.normals = None if normals is None else unit(normals)
         if self.normals is not None and moved and "vertex_normals" not in changed:

@@ -179,9 +179,34 @@ def plate(bsdf: Any) -> dict[str, Any]:
     return {"type": "rectangle", "to_world": T().scale(4), "bsdf": bsdf}
 
 
+def quilt(uv: bool, attributes: dict[str, Any] | None = None, bend: float = 0.3) -> Any:
+    """Nine squares of two triangles with vertices of their own: a whole picture on each, or on each triangle."""
+    squares, corners = np.divmod(np.arange(36), 4)
+    side = np.stack([corners % 2, corners // 2], -1)
+    place = (np.stack([squares % 3, squares // 3], -1) + side) * 0.8 - 1.2
+    points = np.concatenate([place, bend * place[:, :1] * place[:, 1:]], -1).astype(np.float32)
+    faces = (4 * np.arange(9)[:, None, None] + np.array([[0, 1, 2], [1, 3, 2]])).reshape(-1, 3)
+    pattern = {"type": "mesh_attribute", "name": next(iter(attributes))} if attributes else SPOTS
+    props = {"bsdf": {"type": "diffuse", "reflectance": pattern}}
+    normals = np.tile([0.0, 0.0, 1.0], (36, 1))
+    return djpt.Mesh("moving", points, faces, normals, side if uv else None, props=props, attributes=attributes)
+
+
+CASES: dict[str, Case] = {
+    f"a quilt, {name}": Case(
+        lambda make=make: {"moving": make(), "light": {"type": "point", "position": [1, 2, 6], "intensity": 40.0}},
+        slide,
+        spp=512,
+    )
+    for name, make in (
+        ("a picture on each square", lambda: quilt(True, bend=0)),
+        ("a picture on each triangle", lambda: quilt(False)),
+        ("colours of faces", lambda: quilt(True, {"face_color": 0.1 + 0.8 * np.random.default_rng(1).random((18, 3))})),
+    )
+}
 INTERIOR = {"sppp": 0, "sppi": 0}
 PRB = ("prb_projective",)
-CASES: dict[str, Case] = {
+CASES |= {
     "rough glass": Case(
         lambda: {"moving": ball({"type": "roughdielectric", "alpha": 0.3}), "sky": sky()},
         shift("moving.to_world"),

@@ -104,6 +104,14 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
         {"moving": ball({"type": "twosided", "nested": {"type": "diffuse", "reflectance": {"type": "checkerboard"}}})},
         "'moving' has the texture '.*' .checkerboard., and the edges between its colours",
     ),
+    "a picture that ends somewhere": (
+        {"moving": ball({"type": "diffuse", "reflectance": {**SPOTS, "wrap_mode": "clamp"}})},
+        "'moving' has the texture '.*' .bitmap., and the line between its ends isn't followed.*'wrap_mode' to 'repeat'",
+    ),
+    "a picture and a half around": (
+        {"moving": ball({"type": "diffuse", "reflectance": {**SPOTS, "to_uv": T().scale([1.5, 1, 1])}})},
+        "'moving' has the texture '.*' .bitmap., and the line between its ends isn't followed",
+    ),
     "a coarse lamp": (
         {"moving": {"type": "rectangle", "emitter": {"type": "area", "radiance": {**SPOTS, "filter_type": "nearest"}}}},
         "'moving' has the texture '.*' .bitmap., and the edges between its colours",
@@ -159,6 +167,9 @@ MESH_ROOM = octahedron((0, 0, 0), 9)
 PROVEN: dict[str, dict[str, Any]] = {
     "a ball over a floor": {},
     "a ball that stands on a floor": {"floor": {**FLOOR, "to_world": T().translate([0, 0, -1]).scale(4)}},
+    "a picture twice around": {
+        "moving": ball({"type": "diffuse", "reflectance": {**SPOTS, "to_uv": T().scale([2, 1.5, 1])}})
+    },
     "a rough mirror": {"moving": ball({"type": "roughconductor"})},
     "rough plastic": {"other": {**MIRROR_BEHIND, "bsdf": {"type": "roughplastic"}}},
     "a floor that cuts": {"floor": {**FLOOR, "to_world": T().translate([0, 0, -0.9]).scale(4)}},

@@ -25,6 +25,8 @@ from djpt.rendering.gradients.meetings import meeting_pairs
 from djpt.scene.intersecting_shapes import between, encloses, is_convex, is_sphere
 from djpt.sensors.orthographic import Orthographic
 from djpt.sensors.projective import Central, ProjectiveCamera
+from djpt.textures.base import textures_in
+from djpt.textures.uv import UVTexture
 
 if TYPE_CHECKING:
     from djpt.integrators.base import Integrator
@@ -162,14 +164,25 @@ def jumping_textures(rendering: Rendering) -> Iterator[str]:
                 yield f"'{thing.id()}' has the texture {named(texture)}"
 
 
-def textures_in(plugin: Any) -> Iterator[Any]:
-    """The textures that a plugin, and those nested in it, consist of."""
-    for name in plugin.children:
-        child = getattr(plugin, name, None)
-        if isinstance(child, Plugin) and child.kind in ("bsdf", "texture"):
-            if child.kind == "texture":
-                yield child
-            yield from textures_in(child)
+AROUND = {"sphere": (0,), "cylinder": (0,), "cone": (0,), "paraboloid": (0,), "torus": (0, 1), "disk": (1,)}
+"""The texture coordinates of shapes, 0 for u and 1 for v, that are angles: at 0 they meet the end of a full turn."""
+
+
+def torn_textures(rendering: Rendering) -> Iterator[str]:
+    """Textures around moving shapes that don't go on at the angle 0 as they end after a full turn."""
+    for shape in rendering.passes_by():
+        angles = AROUND.get(name_of(type(shape)) or "", ())
+        for owner in (shape.bsdf(), shape.emitter()) if angles else ():
+            for texture in () if owner is None else textures_in(owner):
+                varies = isinstance(texture, UVTexture) and texture.is_spatially_varying()
+                if varies and not all(closes(texture, axis) for axis in angles):
+                    yield f"'{shape.id()}' has the texture {named(texture)}"
+
+
+def closes(texture: Any, axis: int) -> bool:
+    """Whether a texture repeats, a whole number of times, as a texture coordinate goes from 0 to 1."""
+    turns = texture.to_uv.matrix[:2, axis]
+    return getattr(texture, "wrap_mode", "repeat") == "repeat" and bool(np.allclose(turns, np.round(turns), atol=1e-5))
 
 
 def bounded_beams(rendering: Rendering) -> Iterator[str]:
@@ -317,6 +330,12 @@ CASES: tuple[Case, ...] = (
         "the edges between its colours aren't followed",
         "use a bitmap with the filter 'bilinear'",
         jumping_textures,
+    ),
+    Case(
+        "a texture that doesn't end as it begins, around a shape that moves",
+        "the line between its ends isn't followed",
+        "set its 'wrap_mode' to 'repeat', and scale u by whole numbers",
+        torn_textures,
     ),
     Case(
         "a `directionalarea` light, or a `spot` with a sharp edge",

@@ -285,18 +285,19 @@ class MeshQueries:
             self.__dict__.pop(name, None)
 
     @cached_property
-    def joints(self) -> tuple[UInt32, Bool]:
-        """Of each directed edge the one that runs against it, and whether shading jumps there.
+    def joints(self) -> tuple[UInt32, Bool, Bool]:
+        """Of each directed edge the one that runs against it, whether shading jumps there, and whether it is a seam.
 
-        As `opposite_dedge`, but vertices at the same place count as one. Shading jumps where they have several numbers,
-        and everywhere if there are no interpolated normals.
+        As `opposite_dedge`, but vertices at the same place count as one. Where they have several numbers there is a
+        seam. Shading jumps there, and everywhere if there are no interpolated normals.
         """
         positions: NDArray[np.float32] = np.array(dr.detach(self.vertex_positions), np.float32).reshape(-1, 3)
         corners: NDArray[np.uint32] = np.array(self.faces_parameter, np.uint32).reshape(-1, 3)
         places = vertex_places(positions)
         own = np.array(self._opposite_edges)
         joined = opposite_edges(places[corners], len(places)) if places.max(initial=0) + 1 < len(places) else own
-        return UInt32(joined), Bool((joined != own) | (not self.has_vertex_normals()))
+        seams = joined != own
+        return UInt32(joined), Bool(seams | (not self.has_vertex_normals())), Bool(seams)
 
     @cached_property
     def _opposite_edges(self) -> UInt32:

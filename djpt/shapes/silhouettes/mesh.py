@@ -2,7 +2,7 @@
 
 Vertices at the same place count as one: meshes of files have several where normals or texture coordinates jump. At such
 edges, and at all of a mesh without interpolated normals, shading jumps even where both triangles are seen: with the
-flag `DiscontinuityFlags.Creases` they count, too.
+flag `DiscontinuityFlags.Creases` they count, too. So do edges at which a texture jumps, flat ones included.
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ from djpt.shapes.silhouettes.base import (
 )
 from djpt.shapes.silhouettes.moving import attached_place
 from djpt.shapes.silhouettes.normals import attached_normals
+from djpt.shapes.silhouettes.patterns import AT_SEAMS, EVERYWHERE, jumps_of_textures
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
 if TYPE_CHECKING:
@@ -85,8 +86,23 @@ class MeshSilhouette(Silhouette):
         return opposite, shared, own, other
 
     def jumps(self, edge: UInt32, active: Bool | bool = True) -> Bool:
-        """Whether shading jumps at an edge of whose triangles both are seen."""
-        return dr.gather(Bool, self.shape.joints[1], edge, active)
+        """Whether shading or a pattern may jump at an edge of whose triangles both are seen."""
+        return dr.gather(Bool, self.shape.joints[1], edge, active) | self._pattern_jumps(edge, active)
+
+    def creases(self, edge: UInt32, own: Normal3f, other: Normal3f, active: Bool | bool = True) -> Bool:
+        """Whether shading or a pattern jumps at an edge of two triangles, whose normals are given."""
+        bent = dr.gather(Bool, self.shape.joints[1], edge, active) & (dr.dot(own, other) < FLAT)
+        return bent | self._pattern_jumps(edge, active)
+
+    def _pattern_jumps(self, edge: UInt32, active: Bool | bool) -> Bool:
+        if self._pattern == EVERYWHERE:
+            return self.neighbour(edge, active)[1]
+        return dr.gather(Bool, self.shape.joints[2], edge, active) if self._pattern == AT_SEAMS else Bool(False)
+
+    @cached_property
+    def _pattern(self) -> str:
+        """Where textures jump from triangle to triangle."""
+        return jumps_of_textures(self.shape)
 
     @cached_property
     def edges(self) -> Weights:
@@ -101,7 +117,7 @@ class MeshSilhouette(Silhouette):
     def _known(self, name: str, creases: bool) -> Weights:
         """What the mesh has been found to have where it lies now."""
         mesh = self.shape
-        key = (mesh.positions, mesh.indices, mesh.normals)
+        key = (mesh.positions, mesh.indices, mesh.normals, self._pattern)
         known = mesh.__dict__.get(name)
         if known is not None and all(a is b for a, b in zip(known[0], key, strict=True)):
             found: Weights = known[1]
@@ -117,13 +133,13 @@ class MeshSilhouette(Silhouette):
         first = shared & (opposite > edge)
         a, b, _ = self.corners(edge)
         bends = dr.dot(own, other) < 1
-        jumps = self.jumps(edge) & (dr.dot(own, other) < FLAT)
+        creased = self.creases(edge, own, other)
         if not has_flag(self.shape.bsdf().flags(), BSDFFlags.BackSide):
             # Edges of hollows separate a triangle that is seen from the front from one that is black from behind.
             _, q1, q2 = self.corners(opposite, first)
             bends &= dr.dot(own, dr.normalize(q2 - q1)) < 0
         if creases:
-            bends |= jumps
+            bends |= creased
         return dr.select((first & bends) | ~shared, dr.norm(b - a), 0)
 
     # ---- the space of segments ------------------------------------------------------------
@@ -224,7 +240,7 @@ class MeshSilhouette(Silhouette):
             beyond.append(dr.select(shared, opposite // 3, prim))
             jumps = Bool(False)
             if flags & DiscontinuityFlags.Creases:
-                jumps = shared & self.jumps(3 * prim + k, active) & (dr.dot(own, other) < FLAT)
+                jumps = shared & self.creases(3 * prim + k, own, other, active)
             counts.append((cosines[k] < 0) | jumps)
         if flags & DiscontinuityFlags.HeuristicWalk:
             weights = [dr.select(c <= 0, 0.5 * math.pi, dr.safe_acos(c)) for c in cosines]
@@ -278,7 +294,7 @@ class MeshSilhouette(Silhouette):
             parted = (dr.minimum(cos, other_cos) <= least) & (dr.maximum(cos, other_cos) >= -least)
         counts = parted & (dr.abs(dr.dot(own, other)) < 1)
         if creases:
-            lit = self.jumps(edge) & (dr.dot(own, other) < FLAT)
+            lit = self.creases(edge, own, other)
             if not has_flag(self.shape.bsdf().flags(), BSDFFlags.BackSide):
                 lit &= (cos > -least) if self.shape.flip_normals else (cos < least)
             counts |= lit
