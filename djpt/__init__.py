@@ -89,7 +89,7 @@ if TYPE_CHECKING:
     from djpt.description.xml.writer import to_xml as to_xml
     from djpt.emitters import Emitter as Emitter
     from djpt.emitters.pointer import EmitterPtr as EmitterPtr
-    from djpt.errors import AmbiguityWarning as AmbiguityWarning
+    from djpt.errors import AmbiguityError as AmbiguityError
     from djpt.errors import BackendError as BackendError
     from djpt.errors import DjptError as DjptError
     from djpt.errors import FileError as FileError

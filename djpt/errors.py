@@ -12,7 +12,7 @@ import heapq
 from collections.abc import Iterable, Sequence
 
 __all__ = [
-    "AmbiguityWarning",
+    "AmbiguityError",
     "ArgumentError",
     "BackendError",
     "DjptError",
@@ -71,11 +71,8 @@ class RenderError(DjptError, ValueError):
     """The arguments of `render()` can't be rendered (spp 0, no sensor, an empty film)."""
 
 
-class AmbiguityWarning(UserWarning):
-    """A transform was applied with ``@`` to an array that may hold vectors or normals, and is taken for points.
-
-    ``warnings.simplefilter("error", djpt.AmbiguityWarning)`` raises it, so that each use has to say what it means.
-    """
+class AmbiguityError(DjptError, TypeError):
+    """A transform was applied with ``@`` to an array that may hold points, vectors or normals."""
 
 
 class FileError(DjptError, OSError):

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.core.numeric import as_number, as_vector
-from djpt.errors import AmbiguityWarning, SceneError
+from djpt.errors import AmbiguityError, SceneError
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -183,18 +183,13 @@ def matrix_of(value: Any) -> Any:
     return value if dr.is_array_v(value) else getattr(value, "matrix", value)
 
 
-def is_lane_array(value: Any) -> bool:
-    """True for Dr.Jit's arrays with a number per lane and axis, which tensors are not."""
-    return bool(dr.is_array_v(value) and not dr.is_tensor_v(value))
-
-
 class Transform:
     """A map of points, vectors, normals and rays by a matrix that acts on homogeneous column vectors.
 
-    ``T @ x`` takes lists, tuples and arrays for points. In Mitsuba, Dr.Jit's arrays of vectors and normals have types
-    of their own; here they have the same one, so they warn (`AmbiguityWarning`) unless T treats all of them alike,
-    that is, it doesn't translate and keeps all angles. `transform_point`, `transform_vector` and `transform_normal`
-    say what is meant.
+    Points, vectors and normals are one type of Dr.Jit array here, so ``T @ array`` can't tell them apart. It
+    works where T treats them alike: where it doesn't translate and keeps all angles. Elsewhere it raises
+    `AmbiguityError`, and `transform_point`, `transform_vector` or `transform_normal` say what is meant.
+    Lists, tuples and NumPy arrays are points, as in Mitsuba.
     """
 
     __slots__ = ()
@@ -232,23 +227,17 @@ class Transform:
             return kind._product(kind._of(self), kind._of(other))
         if hasattr(other, "o") and hasattr(other, "d") and not dr.is_array_v(other):
             return self._transform_ray(other)
-        if is_lane_array(other):
-            return self._arrays_as_points(other, 3)
+        if dr.is_array_v(other) and not dr.is_tensor_v(other):
+            if not self._treats_alike():
+                raise AmbiguityError(
+                    f"T @ x: this {type(self).__name__} treats points, vectors and normals differently, and a Dr.Jit "
+                    "array doesn't say which of them it holds; write T.transform_point(x), T.transform_vector(x) or "
+                    "T.transform_normal(x)"
+                )
+            return self.transform_point(other)
         if isinstance(other, (str, bytes, dict, set)) or not hasattr(other, "__len__"):
             return self._matmul_other(other)
         return self.transform_point(other)
-
-    def _arrays_as_points(self, x: Any, stacklevel: int) -> Any:
-        """Apply to Dr.Jit arrays as to points; `stacklevel` says where the warning is that they might be vectors."""
-        if not self._treats_alike():
-            warnings.warn(
-                f"T @ x: a Dr.Jit array doesn't say what it holds and is taken for points, which this "
-                f"{type(self).__name__} treats differently from vectors and normals; write T.transform_point(x), "
-                "T.transform_vector(x) or T.transform_normal(x)",
-                AmbiguityWarning,
-                stacklevel=stacklevel,
-            )
-        return self.transform_point(x)
 
     def _matmul_other(self, other: Any) -> Any:
         """Apply to, or compose with, what isn't a transform, a ray, an array or a sequence."""
@@ -307,10 +296,7 @@ class Transform:
             raise SceneError(f"transform_affine: takes one of p, v, n and ray, found {len(given)}")
         if v is not None:
             return self.transform_vector(v)
-        if n is not None:
-            return self.transform_normal(n)
-        x = given[0]
-        return self._arrays_as_points(x, 3) if is_lane_array(x) else self @ x
+        return self @ given[0] if n is None else self.transform_normal(n)
 
     def _transform_ray(self, ray: Any) -> Any:
         """`ray` with origin and direction transformed, and those of its differentials, if it has some."""
