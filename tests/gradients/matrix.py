@@ -252,10 +252,11 @@ def sky() -> Node:
 
 @functools.cache
 def globe_file() -> str:
-    """A PLY file of a smooth sphere."""
+    """A PLY file of a smooth sphere, with texture coordinates as seen along z."""
     path = Path(tempfile.mkdtemp(prefix="djpt-")) / "globe.ply"
     atexit.register(shutil.rmtree, path.parent, ignore_errors=True)
-    globe().write_ply(path)
+    data = globe().data()
+    djpt.Mesh("globe", data.positions, data.indices, data.normals, 0.5 + 0.5 * data.positions[:, :2]).write_ply(path)
     return str(path)
 
 
