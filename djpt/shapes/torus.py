@@ -80,6 +80,12 @@ class Torus(LevelSet):
         around = dr.sqrt(dr.fma(p.x, p.x, dr.square(p.y))) - self.major
         return dr.sqrt(dr.fma(around, around, dr.square(p.z))) - self.minor
 
+    def normal_at(self, p: Point3f) -> Vector3f:
+        local = self.local_point(p)
+        across = 1 - self.major * dr.rsqrt(dr.fma(local.x, local.x, dr.square(local.y)))
+        n = dr.normalize(self.normal_to_world(Vector3f(local.x * across, local.y * across, local.z)))
+        return -n if self.flip_normals else n
+
     def uv(self, p: Point3f) -> Point2f:
         return self.local_uv(self.local_point(p))
 

@@ -7,7 +7,7 @@ from typing import Any
 import djpt
 from djpt.core.transforms import ScalarTransform4f as T
 from djpt.jit.types import Float
-from tests.silhouettes.cases import SIZE, SPOTS, Case, ball, edit, sensor, shift, turn_head
+from tests.silhouettes.cases import SIZE, SPOTS, SUN, Case, ball, edit, sensor, shift, turn_head
 
 GROUND = {
     "type": "rectangle",
@@ -38,6 +38,13 @@ for motion, move in MOTIONS.items():
         move,
         spp=512,
     )
+
+
+CASES["a camera, turn: a torus"] = Case(
+    lambda: {"ring": {"type": "torus", "minor": 0.4, "to_world": T().rotate([0.6, 0.8, 0], 40)}, "light": SUN},
+    turn_head,
+    spp=512,
+)
 
 
 def parallel(params: Any, theta: Float) -> None:
