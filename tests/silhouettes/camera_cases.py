@@ -8,6 +8,14 @@ import djpt
 from djpt.core.transforms import ScalarTransform4f as T
 from djpt.jit.types import Float
 from tests.silhouettes.cases import SIZE, SPOTS, SUN, Case, ball, edit, sensor, shift, turn_head
+from tests.silhouettes.test_projective import globe
+
+
+def orbit(params: Any, theta: Float) -> None:
+    """Turn the camera about the origin."""
+    turn = djpt.Transform4f().rotate([0, 1, 0], 20 * theta)
+    params["sensor.to_world"] = turn @ djpt.Transform4f(params["sensor.to_world"])
+
 
 GROUND = {
     "type": "rectangle",
@@ -40,6 +48,11 @@ for motion, move in MOTIONS.items():
     )
 
 
+CASES["a camera, orbit: a smooth mesh"] = Case(
+    lambda: {"globe": globe(), "light": {"type": "point", "position": [3, 2, 3], "intensity": 40.0}},
+    orbit,
+    spp=1024,
+)
 CASES["a camera, turn: a torus"] = Case(
     lambda: {"ring": {"type": "torus", "minor": 0.4, "to_world": T().rotate([0.6, 0.8, 0], 40)}, "light": SUN},
     turn_head,

@@ -277,6 +277,11 @@ class MeshSilhouette(Silhouette):
         to_a, to_b = dr.normalize(a - viewpoint), dr.normalize(b - viewpoint)
         # The angle in which an edge is seen: a chord of the unit sphere is twice the sine of half of its angle.
         angle = 2 * dr.safe_asin(0.5 * dr.norm(to_b - to_a))
+        if creases:
+            # Of smooth meshes light jumps at edges inside the outline by about the angle between the triangles.
+            _, _, own, other = self.normals(edge, True)
+            smooth = shared & ~self.creases(edge, own, other) & ~self._counts(edge, a - viewpoint, False, within)
+            angle *= dr.select(smooth, dr.safe_sqrt(1 - dr.square(dr.dot(own, other))), 1)
         return part, dr.gather(Float, angle, part)
 
     def seen(self, viewpoint: Point3f, part: UInt32, creases: bool) -> Bool:
@@ -294,7 +299,8 @@ class MeshSilhouette(Silhouette):
             parted = (dr.minimum(cos, other_cos) <= least) & (dr.maximum(cos, other_cos) >= -least)
         counts = parted & (dr.abs(dr.dot(own, other)) < 1)
         if creases:
-            lit = self.creases(edge, own, other)
+            # At any bend: of smooth meshes, too, which cut off their own light where a triangle turns away from it.
+            lit = (dr.dot(own, other) < FLAT) | self._pattern_jumps(edge, True)
             if not has_flag(self.shape.bsdf().flags(), BSDFFlags.BackSide):
                 lit &= (cos > -least) if self.shape.flip_normals else (cos < least)
             counts |= lit
