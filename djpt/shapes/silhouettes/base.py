@@ -18,6 +18,7 @@ __all__ = [
     "INTERIOR",
     "IN_FRONT",
     "PERIMETER",
+    "TURN",
     "Placement",
     "Silhouette",
     "SurfacePoint",
@@ -32,6 +33,9 @@ IN_FRONT = -1e-4
 
 INSET = 1e-4
 """How far off an edge a surface is looked at, as a fraction of the shape's extent."""
+
+TURN = 3e-3
+"""The angle between a silhouette and where a surface that light passes through is looked at."""
 
 PERIMETER, INTERIOR = int(DiscontinuityFlags.PerimeterType), int(DiscontinuityFlags.InteriorType)
 

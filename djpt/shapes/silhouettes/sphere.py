@@ -11,13 +11,10 @@ from djpt.core.frame import coordinate_system
 from djpt.core.records import BSDFFlags, SurfaceInteraction3f, has_flag
 from djpt.core.warp import interval_to_tangent_direction, tangent_direction_to_interval, turns, uniform_sphere_to_square
 from djpt.jit.types import Bool, Float, Normal3f, Point2f, Point3f, UInt32
-from djpt.shapes.silhouettes.base import INTERIOR, Placement, Silhouette, SurfacePoint
+from djpt.shapes.silhouettes.base import INTERIOR, TURN, Placement, Silhouette, SurfacePoint
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
 __all__ = ["SphereSilhouette"]
-
-TURN = 3e-3
-"""The angle between a silhouette and where a surface that light passes through is looked at."""
 
 
 class SphereSilhouette(Silhouette):

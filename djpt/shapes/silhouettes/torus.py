@@ -11,13 +11,10 @@ import drjit as dr
 from djpt.core.records import BSDFFlags, SurfaceInteraction3f, has_flag
 from djpt.core.warp import interval_to_tangent_direction, tangent_direction_to_interval, turns
 from djpt.jit.types import Bool, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
-from djpt.shapes.silhouettes.base import INTERIOR, Placement, Silhouette, SurfacePoint
+from djpt.shapes.silhouettes.base import INTERIOR, TURN, Placement, Silhouette, SurfacePoint
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
 __all__ = ["TorusSilhouette"]
-
-TURN = 3e-3
-"""The angle between a silhouette and where a surface that light passes through is looked at."""
 
 
 @dataclass
