@@ -15,9 +15,10 @@ import operator
 import types
 import warnings
 import weakref
-from collections.abc import Hashable, Iterable
+from collections.abc import Collection, Hashable, Iterable
 from enum import Enum
 from functools import cache, partial
+from itertools import chain
 from typing import Any
 
 import drjit as dr
@@ -138,22 +139,24 @@ class Inventory:
         self._parts: list[Any] = [self._root]
         self._arrays: list[Any] = []
         self._visited: dict[int, tuple[int, Any]] = {}
-        self._contents: list[tuple[Container, tuple[Any, ...]]] = []
+        self._contents: list[Collection[Any]] = []
+        self._noted: list[tuple[Any, ...]] = []
         self._visit_members(root)
         self._shared = len(SHARED)
         self.list = [Structure(tuple(self._parts)), *self._arrays, *SHARED]
         """The structure, and the arrays in an order that depends on the structure alone."""
-        del self._parts, self._arrays, self._visited
+        self._lengths = [len(values) for values in self._noted]
+        self._values = list(chain.from_iterable(self._noted))
+        del self._parts, self._arrays, self._visited, self._noted
 
     def is_current(self, root: Any) -> bool:
         """True if everything is still where it was; arrays may have been changed in place."""
+        # Thousands of values in hundreds of lists and dicts, several times per call: no line of Python for each.
         return (
             self._root() is root
             and self._shared == len(SHARED)
-            and all(
-                len(holder) == len(before) and all(map(operator.is_, values_of(holder), before))
-                for holder, before in self._contents
-            )
+            and list(map(len, self._contents)) == self._lengths
+            and all(map(operator.is_, chain.from_iterable(self._contents), self._values))
         )
 
     def _visit(self, value: Any) -> None:
@@ -185,27 +188,30 @@ class Inventory:
         elif isinstance(value, tuple):
             self._visit_all(value)
         elif isinstance(value, list):
-            self._visit_all(self._noted(value))
+            self._visit_all(self._note(value))
         elif isinstance(value, dict):
             # Keys with identities tell entries apart that were made anew, in another order.
             self._parts.extend(key if isinstance(key, (str, int, tuple)) else type(key) for key in value)
-            self._visit_all(self._noted(value))
+            self._visit_all(self._note(value))
         else:
             self._visit_all(members(value))
             own = getattr(value, "__dict__", None)
             if isinstance(own, dict) and not isinstance(value, types.ModuleType):
                 self._parts.extend(own)
-                self._visit_all(self._noted(own))
+                self._visit_all(self._note(own))
 
     def _visit_all(self, values: tuple[Any, ...]) -> None:
         self._parts.append(len(values))
         for value in values:
             self._visit(value)
 
-    def _noted(self, holder: Container) -> tuple[Any, ...]:
+    def _note(self, holder: Container) -> tuple[Any, ...]:
         """The values in a list or dict, as they are now."""
-        values = tuple(values_of(holder))
-        self._contents.append((holder, values))
+        # The values of a dict are a view, which shows later ones as well.
+        contents = holder.values() if isinstance(holder, dict) else holder
+        values = tuple(contents)
+        self._contents.append(contents)
+        self._noted.append(values)
         return values
 
 
@@ -217,11 +223,6 @@ def sort_of(kind: Any) -> str:
     if not dr.is_array_v(kind):
         return ""
     return "input" if dr.is_jit_v(kind) else "array"
-
-
-def values_of(holder: Container) -> Iterable[Any]:
-    """The values in a list or dict."""
-    return holder.values() if isinstance(holder, dict) else holder
 
 
 def members(value: Any) -> tuple[Any, ...]:
