@@ -114,7 +114,9 @@ class Lights:
 
     def forget_choices(self) -> None:
         """Follow an edit that may change how bright the emitters are."""
-        self._light_samplers.clear()
+        # A uniform choice depends on no value. Made anew now and then, it would be news to `dr.freeze` each time.
+        for name in set(self._light_samplers) - {"uniform"}:
+            del self._light_samplers[name]
         self._brightness.clear()
 
     def replace(self, lookup: Lookup | None = None, choice: str | None = None) -> Lights:
