@@ -197,6 +197,9 @@ class ADIntegrator(Integrator):
             propagate(image, grad_in)
         dr.eval()
 
+    def attached_image(self, scene: Scene, sensor: Any, seed: Any, spp: int) -> TensorXf | None:
+        return self._attached_image(scene, sensor, seed, spp, dr.ADMode.Backward)
+
     def _attached_image(self, scene: Scene, sensor: Any, seed: Any, spp: int, mode: dr.ADMode) -> TensorXf:
         """The image as the code of `sample` computes it, attached to what the view `scene` reads."""
         camera = find_sensor(scene, sensor)
@@ -261,6 +264,9 @@ class RBIntegrator(ADIntegrator):
             state = self._primal_state(scene, sampler, ray)
             self.sample(**modes(dr.ADMode.Backward, scene, sampler, ray), δL=adjoint, δaovs=adjoints, state_in=state)
             dr.eval()  # `sample` writes to the gradients
+
+    def attached_image(self, scene: Scene, sensor: Any, seed: Any, spp: int) -> TensorXf | None:
+        return None
 
     def _primal_state(self, scene: Scene, sampler: Sampler, ray: Any) -> Any:
         """The state that the primal run leaves; the sampler stays where it is."""

@@ -153,6 +153,13 @@ class Integrator(Plugin):
         """Warn of what this integrator can't show, or raise `RenderError` if that is all there is."""
         warn_of_unrendered(self, scene)
 
+    def attached_image(self, scene: Scene, sensor: Any, seed: Any, spp: int) -> Any:
+        """The image of an integrator that renders by itself, attached to what the view `scene` reads.
+
+        Its graph can be traversed again and again. None if derivatives aren't those of a graph.
+        """
+        return None
+
     def prepare_scene(self, scene: Scene) -> None:
         """Let the scene compute what this integrator will ask for, and what depends on the values of parameters.
 

@@ -20,6 +20,7 @@ from djpt.integrators.projective.reattach import (
     mirrored,
     relative,
 )
+from djpt.integrators.projective.splat import keep
 from djpt.integrators.projective.weights import mis_weight
 from djpt.jit.types import Bool, Color3f, Float, Point2f, UInt32
 from djpt.shapes.silhouettes.foreground import foreground
@@ -71,6 +72,8 @@ class DirectProjectiveIntegrator(PSIntegrator):
             light = Color3f(0)
             if not self.hide_emitters:
                 light = dr.select(active, si.emitter(scene).eval(si, active), 0)
+        if attached:
+            keep(si.t, si.uv, si.prim_index, light)
         covered = si.is_valid() & active
         onward = covered & (self.max_depth > 1)
         bsdf, ctx = si.bsdf(), BSDFContext()
@@ -81,6 +84,7 @@ class DirectProjectiveIntegrator(PSIntegrator):
         with dr.resume_grad(when=attached):
             d = ds.d
             if attached:
+                keep(ds, weight)
                 d, weight = attached_light(scene, si, ds, weight, lit)
             value, pdf = bsdf.eval_pdf(ctx, si, si.to_local(d), lit)
             mis = dr.select(ds.delta, 1, mis_weight(ds.pdf, pdf))
@@ -100,6 +104,7 @@ class DirectProjectiveIntegrator(PSIntegrator):
                 next_ray = attached_ray(next_ray, Ray3f(si.p, turned), mirror)
             target = scene.ray_intersect(next_ray, active=by_bsdf)
             if attached:
+                keep(next_ray, target.t, target.uv, target.prim_index)
                 smooth = bsdf_weight(bsdf, si, dr.detach(next_ray.d), target, by_bsdf & ~delta)
                 _, by_mirror = bsdf.sample(ctx, si, lobe, square, mirror)
                 scattered = scattered * dr.select(mirror, Color3f(relative(by_mirror)), smooth)

@@ -155,7 +155,8 @@ class Jump:
         wo = dr.detach(wo)
         beyond, _ = point.seen(self.frame, self.nested, wo)
         step = dr.detach(here) - dr.detach(beyond) * factor
-        return here + dr.select(self.near & (factor > 0), step * self.passed, 0)
+        jump = dr.select(self.near & (factor > 0), step * self.passed, 0)
+        return dr.replace_grad(here, here + jump)  # type: ignore[func-returns-value, return-value]
 
 
 def direction(v: Vector3f, otherwise: Vector3f) -> Vector3f:

@@ -280,3 +280,7 @@ class Holder:
             self.prepare_to_record()
             found = self._inventory = Inventory(self)
         return list(found.list)
+
+    def disable_grad(self) -> None:
+        """Detach the arrays that `held` listed last."""
+        dr.disable_grad(self._inventory.list[1:])

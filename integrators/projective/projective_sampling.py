@@ -213,6 +213,12 @@ class PSIntegrator(RBIntegrator):
                     propagate(image, grad_in)
         dr.eval()
 
+    def attached_image(self, scene: Scene, sensor: Any, seed: Any, spp: int) -> TensorXf | None:
+        within, _, _ = self._counts(find_sensor(scene, sensor), spp)
+        if self.radiative_backprop and within:
+            return None
+        return self.render_ad(scene, sensor, seed, spp, dr.ADMode.Backward)
+
     def _shape(self, sensor: Sensor) -> tuple[int, int, int]:
         """The shape of the image."""
         film = sensor.canvas or sensor.film()

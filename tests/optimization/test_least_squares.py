@@ -139,7 +139,7 @@ def test_frozen_functions_give_the_same_steps(monkeypatch: pytest.MonkeyPatch) -
     assert np.allclose(plain.average["x"], frozen.average["x"], atol=1e-4)
     assert np.abs(frozen.average["x"] - TEXELS).mean() < 0.6 * np.abs(0.5 - TEXELS).mean()
     # The scene is met as it was loaded and as it was left; neither other memory nor attached values are news.
-    assert len(recorded) == 3 and max(one.n_recordings for one in recorded) <= 2
+    assert len(recorded) == 5 and max(one.n_recordings for one in recorded) <= 2
 
 
 def test_images_with_unfiltered_channels_are_known() -> None:
@@ -157,7 +157,7 @@ def test_images_with_unfiltered_channels_are_known() -> None:
     passes, x = Passes(image, False), {"x": djpt.TensorXf(TEXELS)}
     found, images = passes.residuals(x, 1, 0)
     assert found.shape == (8, 8, 4) and [one.shape for one in images.values()] == [(8, 8, 3)]
-    known, other = (passes.forward(x, x, these, 2, 0).numpy() for these in (images, {}))
+    known, other = (passes.linear(x, these, 2, 0).forward(x).numpy() for these in (images, {}))
     np.testing.assert_array_equal(known, other)
     assert known.any()
 
@@ -176,14 +176,14 @@ def test_derivatives_take_images_that_are_known(frozen: bool) -> None:
     squares, images = passes.residuals(x(at), 1, 0)
     (known,) = images.values()
     assert np.allclose(squares.numpy(), known.numpy() ** 2)
-    slope = plain.forward(x(at), x(way), {}, 2, 0).numpy()
-    assert np.allclose(passes.forward(x(at), x(way), images, 2, 0).numpy(), 2 * known.numpy() * slope, rtol=1e-4)
-    unknown = passes.forward(x(at), x(way), {}, 2, 0).numpy()
+    slope = plain.linear(x(at), {}, 2, 0).forward(x(way)).numpy()
+    assert np.allclose(passes.linear(x(at), images, 2, 0).forward(x(way)).numpy(), 2 * known.numpy() * slope, rtol=1e-4)
+    unknown = passes.linear(x(at), {}, 2, 0).forward(x(way)).numpy()
     assert not np.allclose(unknown, 2 * known.numpy() * slope, rtol=1e-4), "an image of seed 2"
 
     weights = djpt.TensorXf(np.random.default_rng(5).normal(0, 1, (8, 8, 3)).astype(np.float32))
-    found = passes.reverse(x(at), weights, images, 2, 0)["x"].numpy()
-    expected = plain.reverse(x(at), weights * 2 * known, {}, 2, 0)["x"].numpy()
+    found = passes.linear(x(at), images, 2, 0).reverse(weights)["x"].numpy()
+    expected = plain.linear(x(at), {}, 2, 0).reverse(weights * 2 * known)["x"].numpy()
     assert np.allclose(found, expected, rtol=1e-3, atol=1e-5)
 
 
@@ -196,7 +196,7 @@ def test_products_of_earlier_steps_serve_again(monkeypatch: pytest.MonkeyPatch) 
     for forgetful in (False, True):
         problem = Problem(Passes(linear(matrix, right), False), {"x": dr.zeros(djpt.Float, 30)}, {}, {})
         products = list[Any]()
-        monkeypatch.setattr(problem, "forward", lambda *a, f=problem.forward, p=products: p.append(a) or f(*a))
+        monkeypatch.setattr(problem, "normal", lambda *a, f=problem.normal, p=products: p.append(a) or f(*a))
         x = problem.start
         for i in range(7):
             if forgetful:

@@ -21,14 +21,19 @@ The product of one estimate of J with itself is too large by its variance, which
 silhouettes move. So J^T J is the product of two independent estimates of the columns: that of the step, and that of the
 step before, since J changes little. The first step has one, and is shorter for it.
 Matrix-free it is that of one, so steps are shorter where derivatives are noisy, and their minimum is the same. That is
-of use there: what the noise adds to J^T J keeps combinations in place which pictures hardly show. By two estimates a
-sky of 384 numbers came to 0.19 of its error at the start, by one to 0.11.
+of use there: what the noise adds to J^T J keeps combinations in place which pictures hardly show.
 Steps are judged by images with the same random numbers, whose noise mostly cancels: by half of those that are averaged.
 Where the loss hardly falls any more, noise is larger than what is left to gain, and from then on twice as many images
 are averaged. When there are as many as may be, steps become shorter, in the end like 1 / i, which averages over steps.
 
-Of small images most time goes into tracing. With `frozen`, `dr.freeze` does that once for each of three functions: the
-residuals and their derivatives in both directions.
+Products with J need no paths: it is tabulated once a step (`djpt.rendering.gradients.jacobian`), or, where images have
+a graph, that graph is traversed again and again. Of tables there is a mean over the steps, and of r as well: what the
+steps before say of it at this place, r + J (x - x_before), has noise of its own, and is averaged with what is new,
+unless J has changed too much (after Nicolet et al., "Recursive Control Variates for Inverse Rendering", ACM
+Transactions on Graphics 42, 2023, who do so with images).
+
+Of small images most time goes into tracing. With `frozen`, `dr.freeze` does that once for each of five functions: the
+residuals, J, and products with it.
 """
 
 from __future__ import annotations
@@ -41,7 +46,7 @@ import drjit as dr
 import numpy as np
 import numpy.typing as npt
 
-from djpt.apps.optimization.passes import Passes, Residual
+from djpt.apps.optimization.passes import Linear, Passes, Residual
 from djpt.errors import RenderError, near_miss
 from djpt.jit.kernels import mapped, own_array, own_floats
 from djpt.rendering.known_images import Images
@@ -58,7 +63,7 @@ DENSE = 12
 PRODUCTS = 8
 """The most products of a step."""
 
-ENOUGH = 0.1
+ENOUGH = 0.03
 """The share of what a step gains below which the last product hasn't changed it."""
 
 KEPT = 24
@@ -85,10 +90,13 @@ PATIENCE = 4
 ALONE = 1e-3
 """The share of the largest curvature that is added for damping: entries without any effect don't move."""
 
+LEAST_WEIGHT = 0.1
+"""The least weight of the residuals of a step in their mean with those that the steps before predict."""
+
 SMALL = 1e-3
 """The length of a vector of the basis, relative to the slope's, below which the space holds all that matters."""
 
-FELL = 0.9
+FELL = 0.8
 """The ratio of a loss to the one before above which twice as many images are averaged: their noise hides what falls."""
 
 
@@ -138,7 +146,7 @@ def least_squares(
         residual: Called with the variables and a seed: the same seed must give the same residuals.
         start: Where the search begins: Dr.Jit arrays or tensors by name.
         iterations: The number of steps; each takes two or more images, and of up to 12 entries together one
-            derivative of each, or else up to 18 in all.
+            derivative of each, or else a table of derivatives, or up to 18 if they are too large.
         bounds: (low, high) by name; values are moved back within them.
         differences: By name the distance over which images are compared in place of a derivative, for instance the
             width of a pixel of the first, coarse images; it is halved as these are refined. For what moves.
@@ -168,18 +176,22 @@ def least_squares(
     problem = Problem(Passes(residual, frozen), start, bounds or {}, differences or {})
     x, losses, taken_back, first = problem.start, list[float](), 0, damping
     sums, counted, stalled = np.zeros_like(x), 0, 0
+    last: tuple[Doubles, int] | None = None
     for i in range(iterations):
         halvings = max(0, coarse - i * (coarse + 1) // iterations)
         if halvings != problem.halvings:
             problem.halvings, damping = halvings, min(damping, first)
             problem.products.clear()
-            problem.columns = None
+            problem.columns = problem.before = None
             problem.refined = coarse - halvings
         number = round_seed(seed, i)
         now = problem.residuals(x, number)
         loss = float(np.mean(np.square(now)))
         if not np.isfinite(loss) and i == 0:
             raise RenderError("least_squares: the residuals aren't finite at the start; djpt.find_nan says why")
+        if last is not None and i and len(last[0]) == len(now):
+            problem.noise = float(np.mean(np.square(now - last[0]))) / (1 / problem.images + 1 / last[1])
+        last = None
         if losses and loss > FELL * losses[-1]:
             stalled += problem.images >= images
             problem.images = min(2 * problem.images, max(1, images))
@@ -189,8 +201,10 @@ def least_squares(
         system = problem.system(x, now, number, damping)
         for _ in range(TRIES):
             moved = problem.within(x + system.step(damping) / (1 + stalled / PATIENCE))
-            after = float(np.mean(np.square(problem.residuals(moved, number, judging))))
+            there = problem.residuals(moved, number, judging)
+            after = float(np.mean(np.square(there)))
             if after < before:
+                last = there, judging
                 x, damping = moved, max(damping * FALLS, LEAST)
                 break
             damping, taken_back = min(damping * RISES, MOST), taken_back + 1
@@ -233,9 +247,13 @@ class Problem:
         self._distances = self._spread({name: differences.get(name, 0.0) for name in arrays})
         self._images: Images = {}
         """The images of the last residuals."""
-        self._known = self._images
-        """The images at the place from which a step begins."""
+        self._linear: Linear
+        """The residuals about the place from which a step begins."""
         self.judged = 1, np.inf
+        self.before: tuple[Linear, Doubles] | None = None
+        """The residuals about the place of the last step, with the mean of J over steps, and that of r - J x."""
+        self.noise = 0.0
+        """The mean square of the noise of a residual from one image."""
         self.columns: Doubles | None = None
         """The derivatives of the last step by those entries that have some, of this size of images."""
         self.products: list[tuple[Doubles, Doubles]] = []
@@ -287,15 +305,20 @@ class Problem:
         self._shape, self._kind = found.shape, type(found)
         return total.ravel() / len(seeds)
 
-    def forward(self, x: Doubles, direction: Doubles, seed: int) -> Doubles:
+    def forward(self, direction: Doubles) -> Doubles:
         """J v: the derivative of the residuals in a direction."""
-        slope = self._passes.forward(self.variables(x), self.variables(direction), self._known, seed, self.halvings)
-        return np.array(slope, np.float64).ravel()
+        return np.array(self._linear.forward(self.variables(direction)), np.float64).ravel()
 
-    def reverse(self, x: Doubles, weights: Doubles, seed: int) -> Doubles:
+    def reverse(self, weights: Doubles) -> Doubles:
         """J^T w: the gradient of the weighted sum of the residuals."""
-        shaped = in_own_memory(self._kind, weights.reshape(self._shape))
-        slopes = self._passes.reverse(self.variables(x), shaped, self._known, seed, self.halvings)
+        return self._vector(self._linear.reverse(in_own_memory(self._kind, weights.reshape(self._shape))))
+
+    def normal(self, direction: Doubles) -> Doubles:
+        """J^T J v, of one estimate of J."""
+        return self._vector(self._linear.normal(self.variables(direction)))
+
+    def _vector(self, slopes: Mapping[str, Any]) -> Doubles:
+        """The vector that holds variables."""
         return np.concatenate([np.array(slopes[name], np.float64).ravel() for name in self._types])
 
     def difference(self, x: Doubles, entry: int, seed: int) -> Doubles:
@@ -308,8 +331,11 @@ class Problem:
 
     def system(self, x: Doubles, now: Doubles, seed: int, damping: float) -> Dense | MatrixFree:
         """The equations of a step from a vector with the residuals `now`, the last ones that were computed."""
-        self._known = self._images
+        if x.size > DENSE or not self._distances.all():
+            variables = self.variables(x)
+            self._linear = self._passes.linear(variables, self._images, round_seed(seed, 1), self.halvings)
         if x.size > DENSE and not self._distances.any():
+            now = self._averaged(x, now)
             return MatrixFree(self, x, now, seed, damping)
         first = self._columns(x, round_seed(seed, 1), range(x.size))
         # Differences have little noise: one estimate is enough. Derivatives of the last step are another estimate.
@@ -322,11 +348,33 @@ class Problem:
         product = first.T @ second
         return Dense(positive(product), first.T @ now)
 
+    def _averaged(self, x: Doubles, now: Doubles) -> Doubles:
+        """The residuals at x, averaged with what those of the steps before predict, as their derivatives are.
+
+        The weight of what is new is that of least error: its own is noise, that of the prediction is the rest of the
+        difference of both.
+        """
+        here = self._linear
+        last, before = self.before or (here, np.zeros(()))
+        predicting = here.by(last)
+        if predicting is None:
+            return now
+        offset = now - self.forward(x)
+        if self.before is not None and self.noise:
+            self._linear = predicting
+            predicted = before + self.forward(x)
+            apart = float(np.mean(np.square(now - predicted)))
+            weight = float(np.clip(1 - self.noise / self.images / max(apart, 1e-30), LEAST_WEIGHT, 1))
+            self._linear = here.mixed(last, 1 - weight)
+            offset = weight * offset + (1 - weight) * before
+            now = weight * now + (1 - weight) * predicted
+        self.before = self._linear, offset
+        return now
+
     def _columns(self, x: Doubles, seed: int, entries: Iterable[int]) -> Doubles:
         """Columns of J, one for each of these entries."""
         columns = [
-            self.difference(x, k, seed) if self._distances[k] else self.forward(x, np.eye(x.size)[k], seed)
-            for k in entries
+            self.difference(x, k, seed) if self._distances[k] else self.forward(np.eye(x.size)[k]) for k in entries
         ]
         return np.stack(columns, axis=1)
 
@@ -384,14 +432,13 @@ class MatrixFree:
     """
 
     def __init__(self, problem: Problem, x: Doubles, now: Doubles, seed: int, damping: float) -> None:
-        one, other = round_seed(seed, 1), round_seed(seed, 2)
         if problem.estimates < ESTIMATES:
-            signs = np.random.default_rng(one).choice([-1.0, 1.0], now.size)
-            problem.squares += np.square(problem.reverse(x, signs, other))
+            signs = np.random.default_rng(seed).choice([-1.0, 1.0], now.size)
+            problem.squares += np.square(problem.reverse(signs))
             problem.estimates += 1
         squares = problem.squares / problem.estimates
         self._scale = 1 / np.sqrt(np.maximum(squares + problem.means(squares), 1e-30))
-        self._slope = -self._scale * problem.reverse(x, now, one)
+        self._slope = -self._scale * problem.reverse(now)
         norm = float(np.linalg.norm(self._slope))
         self._basis, self._bent = np.zeros((0, x.size)), np.zeros((0, x.size))
         for v, product in problem.products[::-1]:
@@ -403,7 +450,7 @@ class MatrixFree:
             if length <= SMALL * max(norm, 1e-30):
                 break
             q /= length
-            bent = self._scale * problem.reverse(x, problem.forward(x, self._scale * q, other), other)
+            bent = self._scale * problem.normal(self._scale * q)
             problem.products.append((self._scale * q, bent / self._scale))
             self._extend(q, bent)
             before, gain = gain, self._gain(damping)

@@ -48,6 +48,8 @@ class Mode:
     """The parts that differ between the modes."""
 
     label: ClassVar[str]
+    takes_long: ClassVar[bool] = False
+    """Whether `differentiate` takes longer than the rest of a vertex."""
 
     def start(self) -> list[Float]:
         """The sums at the start of the loop."""

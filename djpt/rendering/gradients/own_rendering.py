@@ -15,7 +15,7 @@ from djpt.rendering.gradients.derivatives import attached_image, propagated
 from djpt.rendering.gradients.leaves import Parameter, attached_parameters, motion_parameters
 from djpt.rendering.gradients.self_intersections import warn_of_self_intersections
 from djpt.rendering.gradients.unproven import moves, require_proven
-from djpt.rendering.known_images import known_or
+from djpt.rendering.known_images import known_or, linearising
 from djpt.rendering.schedules.job import image_channels
 from djpt.rendering.settings import RenderSettings
 from djpt.scene.instance_copies import with_copies
@@ -51,6 +51,10 @@ def image_by_itself(scene: Scene, params: Any, settings: RenderSettings) -> Tens
     if not parameters:
         return known_or(settings, primal)
     derivative = OwnDerivative(scene, params, settings, parameters)
+    if linearising():
+        graph = derivative.graph(parameters)
+        if graph is not None:
+            return known_or(settings, primal) + graph
     return attached_image(parameters, [], lambda: known_or(settings, primal), derivative)
 
 
@@ -114,3 +118,13 @@ class OwnDerivative:
             for leaf, tangent in zip(fresh, tangents, strict=True):
                 dr.set_grad(leaf, tangent)
             return self._integrator.render_forward(scene, self._params, *self._samples)
+
+    def graph(self, parameters: list[Parameter]) -> TensorXf | None:
+        """An image of zeros, attached to the parameters themselves; None if the integrator's image has no graph."""
+        values = [p.value for p in parameters]
+        dr.make_opaque(values)
+        places = dict(zip(self._places, values, strict=True))
+        with dr.resume_grad(), exchanged(with_normals(places, self._scene.shapes())):
+            view = attached_view(self._scene, places)
+            image: TensorXf | None = self._integrator.attached_image(view, *self._samples)
+            return None if image is None else image - dr.detach(image)

@@ -27,7 +27,7 @@ from djpt.jit.types import Bool, Color3f, Float, Point2f, UInt32
 from djpt.rendering.schedules.base import ModeOf, Schedule
 from djpt.rendering.schedules.called_sums import CalledSums, Taps, reader, usable
 from djpt.rendering.schedules.job import Band, Job
-from djpt.rendering.schedules.lanes import Lanes, interleaved, layered
+from djpt.rendering.schedules.lanes import Lanes, interleaved, layered, one_by_one
 from djpt.rendering.schedules.passes import filtered_rows, summed_rows
 from djpt.rendering.schedules.reconstruction import Rows, Summed, by_pixels, collect
 from djpt.rendering.schedules.sinks import (
@@ -75,11 +75,23 @@ class Flat(Schedule):
         return not job.film.filters
 
     def replay(
-        self, job: Job, values: Detached, numbering: Numbering, band: Band, begin: int, end: int, mode_of: ModeOf
+        self,
+        job: Job,
+        values: Detached,
+        numbering: Numbering,
+        band: Band,
+        begin: int,
+        end: int,
+        mode_of: ModeOf,
+        shared: bool = True,
     ) -> tuple[Mode, list[Float], UInt32]:
+        """As `Schedule.replay`; if not `shared`, all samples of a pixel are in one lane."""
         from djpt.rendering.gradients import extinction_walk, replay
 
-        lanes = (interleaved if self.carries_sums(job) else layered)(job, band, begin, end)
+        if shared:
+            lanes = (interleaved if self.carries_sums(job) else layered)(job, band, begin, end)
+        else:
+            lanes = one_by_one(job, band, begin, end)
         count = dr.width(lanes.pixel)
         mode = mode_of(count, lanes.pixel)
         # The opaque zero is needed: Dr.Jit turns a gather of all entries in order into a plain load, which

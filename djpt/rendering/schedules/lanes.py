@@ -18,6 +18,7 @@ __all__ = [
     "interleaved",
     "lanes_per_pixel",
     "layered",
+    "one_by_one",
 ]
 
 BLOCK = 2**14
@@ -92,6 +93,12 @@ def interleaved(job: Job, band: Band, begin: int, end: int) -> Lanes:
     # The first k >= begin with k = group modulo `groups`, a power of two.
     first = start + ((group - start) & (groups - 1))
     return Lanes(pixel, first, dr.opaque(UInt32, end), groups)
+
+
+def one_by_one(job: Job, band: Band, begin: int, end: int) -> Lanes:
+    """The samples begin <= k < end of a band, one lane per pixel."""
+    _, pixel = side_by_side(job, band, 1)
+    return Lanes(pixel, dr.opaque(UInt32, begin), dr.opaque(UInt32, end), dr.opaque(UInt32, 1))
 
 
 def layered(job: Job, band: Band, begin: int, end: int) -> Lanes:

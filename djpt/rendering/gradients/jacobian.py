@@ -1,0 +1,264 @@
+"""The Jacobian of an image: the derivative of each pixel by each entry of the parameters, from one replay of its paths.
+
+Searches of second order ask for J v and J^T w again and again at one place. A replay for each costs more than an image,
+with the same samples every time. Here one replay adds the derivatives of samples to the rows of their pixels,
+
+    J[channel of a pixel; entry] = mean over the samples of the pixel of d channel / d entry,
+
+by one reverse derivative per channel at each vertex. From then on products are sums over tables in memory. A colour of
+a material changes no other channel than its own: tables of what vanishes whatever the ray, which shows while the loop
+is traced, aren't made.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import drjit as dr
+
+from djpt.core.lookup import Numbers
+from djpt.dispatch.ensemble import TableLeaf
+from djpt.jit.kernels import while_loop
+from djpt.jit.llvm.lanes import small_blocks
+from djpt.jit.types import Bool, Color3f, Float, TensorXf, UInt32
+from djpt.rendering.gradients.derivatives import ReplayDerivative, on_grid
+from djpt.rendering.gradients.leaves import Leaves, Tangents
+from djpt.rendering.gradients.modes import Mode, Walk
+from djpt.rendering.schedules.flat import Flat
+from djpt.rendering.schedules.job import Band, Job
+from djpt.rendering.schedules.passes import image_of_samples, register_spp
+
+__all__ = ["Jacobian", "KnownDerivative", "jacobian_of"]
+
+LARGEST = 2**24
+"""The most numbers of a Jacobian, 64 MiB: to read more takes longer than to replay paths."""
+
+Key = tuple[int, int, int]
+"""Of a table: the number of its space, the component of the space's entries, and the channel of the pixels."""
+
+UNIFORM = 0
+"""The number of the space whose entries are the parameters that aren't tables."""
+
+
+@dataclass
+class Jacobian:
+    """The derivatives of an image, as arrays [entry][pixel], a table for each `Key`; all others are 0."""
+
+    keys: list[Key]
+    tables: list[Float]
+
+    def items(self) -> Iterator[tuple[Key, Float]]:
+        """The tables with their keys."""
+        return zip(self.keys, self.tables, strict=True)
+
+    def mixed(self, other: Jacobian, share: float) -> Jacobian:
+        """The mean with a Jacobian of other samples, which counts for a `share`."""
+        one, two = (dr.opaque(Float, number) for number in (1 - share, share))
+        tables = [a * one + b * two for a, b in zip(self.tables, other.tables, strict=True)]
+        dr.eval(tables)
+        return Jacobian(self.keys, tables)
+
+
+class Spaces:
+    """What the columns of a Jacobian are: the entries of the parameters in the order of the buffers that hold them."""
+
+    def __init__(self, derivative: ReplayDerivative) -> None:
+        numbering, self.parameters = derivative.numbering, derivative.parameters
+        self.tables = [leaf for leaf in numbering.leaves if isinstance(leaf, TableLeaf)]
+        self.buffers = [derivative.values.buffer(leaf) for leaf in self.tables]
+        # Members without a parameter point beyond the end.
+        self._numbers = {
+            id(leaf): Numbers([len(self.parameters) if n is None else n for n in numbering.of(leaf)])
+            for leaf in numbering.leaves
+            if not isinstance(leaf, TableLeaf)
+        }
+
+    def entries(self, space: int) -> int:
+        """The number of entries of a space."""
+        if space == UNIFORM:
+            return len(self.parameters)
+        buffer = self.buffers[space - 1]
+        return buffer.size // buffer.entry_size
+
+    def read(self, leaves: Leaves) -> list[tuple[int, UInt32, Any]]:
+        """The space, the number and the AD leaf of each entry that was read at a vertex."""
+        found = [(UNIFORM, self._numbers[id(leaf)].at(slot), value) for leaf, slot, value in leaves.taken]
+        number = {id(leaf): i + 1 for i, leaf in enumerate(self.tables)}
+        return found + [(number[id(leaf)], address, entry) for leaf, address, entry in leaves.read]
+
+    def changes(self, space: int, changes: Sequence[Any], tangents: Tangents) -> Callable[[UInt32], list[Float]]:
+        """The components of the change of an entry, as a function of its number."""
+        if space != UNIFORM:
+            return lambda entry: components(tangents.entry(self.tables[space - 1], entry))
+        numbers = zip(self.parameters, changes, strict=True)
+        flat = dr.concat([c for p, change in numbers for c in padded([] if p.is_table else components(change))])
+        dr.make_opaque(flat)
+        return lambda entry: [dr.gather(Float, flat, 3 * entry + c) for c in range(3)]
+
+    def gradients(self, sums: dict[tuple[int, int], Float]) -> list[Any]:
+        """The gradients of the parameters, from the sums for the components of the entries of the spaces."""
+        result = []
+        for i, parameter in enumerate(self.parameters):
+            kind = type(parameter.value)
+            if not parameter.is_table:
+                parts = [sums.get((UNIFORM, c)) for c in range(parameter.size)]
+                result.append(kind(*(Float(0) if p is None else dr.gather(Float, p, UInt32(i)) for p in parts)))
+                continue
+            shape = parameter.value.shape
+            total = dr.zeros(Float, dr.prod(shape))
+            # A texture may stand in several groups: each has a buffer.
+            for space, (leaf, buffer) in enumerate(zip(self.tables, self.buffers, strict=True), UNIFORM + 1):
+                if leaf.attribute == parameter.attribute and parameter.owner in leaf.owners:
+                    memory = dr.zeros(Float, buffer.size)
+                    for c in range(buffer.channels):
+                        if (space, c) in sums:
+                            number = dr.arange(UInt32, self.entries(space))
+                            dr.scatter(memory, sums[space, c], number * buffer.entry_size + c)
+                    total += buffer.unpacked(memory, id(parameter.owner), shape)
+            result.append(kind(total, shape))
+        return result
+
+
+class Rows(Mode):
+    """Adds the derivatives of the channels of samples to the rows of their pixels.
+
+    Args:
+        job: Of the image.
+        spaces: The columns.
+        pixel: That of each lane: no two lanes have the same.
+    """
+
+    label: ClassVar[str] = "jacobian"
+    takes_long: ClassVar[bool] = True
+
+    def __init__(self, job: Job, spaces: Spaces, pixel: UInt32) -> None:
+        self.tables: dict[Key, Float] = {}
+        """What is added to."""
+        self._job, self._spaces, self._pixel = job, spaces, pixel
+        self._pixels, self._inverse = dr.opaque(UInt32, dr.width(pixel)), dr.opaque(Float, 1 / job.spp)
+
+    def start(self) -> list[Float]:
+        return []
+
+    def delta_of(self, slot: UInt32, active: Bool) -> Color3f:
+        return Color3f(0)
+
+    def differentiate(self, walk: Walk, leaves: Leaves, outgoing: Color3f, active: Bool) -> tuple[Color3f, list[Float]]:
+        read = self._spaces.read(leaves)
+        for channel in range(self._job.channel_count()):
+            unit = [Float(i == channel) for i in range(self._job.channel_count())]
+            value: Any = dr.dot(outgoing, self._job.color_adjoint(unit))
+            if not dr.grad_enabled(value):
+                continue
+            dr.backward(value, flags=dr.ADFlag.ClearVertices)
+            for space, entry, leaf in read:
+                for component, slope in enumerate(components(dr.grad(leaf))):
+                    self._add((space, component, channel), entry, slope, active)
+            dr.clear_grad([leaf for _, _, leaf in read])
+        return walk.delta, walk.sums
+
+    def _add(self, key: Key, entry: UInt32, slope: Float, active: Bool) -> None:
+        if slope.state == dr.VarState.Literal and not slope[0]:
+            return
+        entries = self._spaces.entries(key[0])
+        if key not in self.tables:
+            self.tables[key] = dr.zeros(Float, entries * dr.width(self._pixel))
+        inside = active & (entry < dr.opaque(UInt32, entries))
+        place = dr.fma(entry, self._pixels, self._pixel)
+        # Each lane has rows of its own.
+        mode = dr.ReduceMode.NoConflicts
+        dr.scatter_add(self.tables[key], slope * self._inverse, place, inside, mode=mode)
+
+    def hand_over(
+        self, job: Job, walk: Walk, finished: Bool, next_slot: UInt32, more: Bool, counts: Bool | bool = True
+    ) -> tuple[Color3f, list[Float]]:
+        return walk.delta, walk.sums
+
+
+def jacobian_of(derivative: Any) -> Jacobian | None:
+    """The Jacobian of an image whose derivative is found by replay; None where there is none, or it would be large."""
+    if not isinstance(derivative, ReplayDerivative):
+        return None
+    job, schedule = derivative.job, derivative.schedule
+    if not isinstance(schedule, Flat) or not schedule.carries_sums(job) or job.film.border:
+        return None
+    spaces, rows = Spaces(derivative), list[Rows]()
+    colours = sum(spaces.entries(space) for space in range(len(spaces.tables) + 1)) * job.channel_count()
+    if colours * job.width * job.height > LARGEST or job.spp > register_spp(job):
+        return None
+
+    def mode_of(lanes: int, pixel: UInt32) -> Rows:
+        rows.append(Rows(job, spaces, pixel))
+        return rows[-1]
+
+    with dr.suspend_grad():
+        given = derivative.values, derivative.numbering, Band(0, job.height), 0, job.spp, mode_of
+        _, _, number = schedule.replay(job, *given, shared=False)
+        tables = rows[-1].tables
+        with small_blocks():
+            dr.eval(number, tables)
+        return Jacobian(list(tables), list(tables.values()))
+
+
+class KnownDerivative:
+    """The derivative of an image whose Jacobian is known."""
+
+    def __init__(self, derivative: ReplayDerivative, jacobian: Jacobian) -> None:
+        self.jacobian = jacobian
+        """May be replaced by that of other samples."""
+        self._job, self._numbering, self._spaces = derivative.job, derivative.numbering, Spaces(derivative)
+        self._pixels = self._job.width * self._job.height
+
+    def backward(self, image: TensorXf) -> list[Any]:
+        """The gradients of the parameters, from the derivatives with respect to the pixels (H, W, C)."""
+        with dr.suspend_grad():
+            adjoints, pixels = on_grid(self._job, image), dr.opaque(UInt32, self._pixels)
+            sums: dict[tuple[int, int], Float] = {}
+            for (space, component, channel), table in self.jacobian.items():
+                place = dr.arange(UInt32, dr.width(table))
+                weight = dr.gather(Float, adjoints[channel], place - place // pixels * pixels)
+                part = dr.block_sum(table * weight, self._pixels)
+                sums[space, component] = sums[space, component] + part if (space, component) in sums else part
+            dr.eval(sums)
+            return self._spaces.gradients(sums)
+
+    def forward(self, tangents: list[Any]) -> TensorXf:
+        """The derivative of the image in the direction of `tangents`, one per parameter."""
+        with dr.suspend_grad():
+            changes, pixel = Tangents(self._numbering, tangents), dr.arange(UInt32, self._pixels)
+            channels = [dr.zeros(Float, self._pixels) for _ in range(self._job.channel_count())]
+            for space in sorted({space for space, _, _ in self.jacobian.keys}):
+                channels = self._with_space(space, tangents, changes, pixel, channels)
+            dr.eval(channels)
+            return image_of_samples(replace(self._job, spp=1), channels)
+
+    def _with_space(
+        self, space: int, tangents: list[Any], changes: Tangents, pixel: UInt32, channels: list[Float]
+    ) -> list[Float]:
+        """The changes of channels with those by the entries of a space."""
+        tables = {key: table for key, table in self.jacobian.items() if key[0] == space}
+        entries, pixels = dr.opaque(UInt32, self._spaces.entries(space)), dr.opaque(UInt32, self._pixels)
+
+        change_of = self._spaces.changes(space, tangents, changes)
+
+        def body(entry: UInt32, sums: list[Float]) -> tuple[UInt32, list[Float]]:
+            change, place, sums = change_of(entry), dr.fma(entry, pixels, pixel), list(sums)
+            for (_, component, channel), table in tables.items():
+                sums[channel] = dr.fma(dr.gather(Float, table, place), change[component], sums[channel])
+            return entry + 1, sums
+
+        start = dr.zeros(UInt32, self._pixels), channels
+        _, found = while_loop(start, lambda entry, sums: entry < entries, body, label="jacobian forward")
+        return found
+
+
+def components(value: Any) -> list[Float]:
+    """The components of a number or a vector."""
+    return [value[c] for c in range(len(value))] if dr.depth_v(value) > 1 else [value]
+
+
+def padded(numbers: list[Float]) -> list[Float]:
+    """Three numbers, the last ones 0."""
+    return numbers + [Float(0)] * (3 - len(numbers))
