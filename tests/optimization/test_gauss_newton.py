@@ -114,16 +114,18 @@ def test_derivatives_of_different_signs_never_diverge(entries: int, bent: bool) 
         return 2 * dr.sin(linear / 2) if bent else linear
 
     wanted = dr.detach(values(djpt.Float(truth.astype(np.float32))))
-    optimizer = GaussNewton(params={"x": djpt.Float([0.0] * entries)})
-    optimizer.measure(lambda x: values(x["x"]) - wanted)
-    losses = []
-    for _ in range(60):
-        loss = dr.mean(dr.square(values(optimizer["x"]) - wanted))
-        dr.backward(loss)
-        optimizer.step(loss)
-        losses.append(float(loss[0]))
-    lowest = np.minimum.accumulate(losses)
-    assert np.all(np.isfinite(losses)) and lowest[-1] < 0.4 * losses[0] and losses[-1] < 4 * lowest[-1]
+    # A search that jumps back and forth enlarges differences of rounding, which are those of sums by several threads.
+    for start in 3e-7 * np.random.default_rng(4).normal(size=(8, entries)):
+        optimizer = GaussNewton(params={"x": djpt.Float(start.astype(np.float32))})
+        optimizer.measure(lambda x: values(x["x"]) - wanted)
+        losses = []
+        for _ in range(60):
+            loss = dr.mean(dr.square(values(optimizer["x"]) - wanted))
+            dr.backward(loss)
+            optimizer.step(loss)
+            losses.append(float(loss[0]))
+        lowest = np.minimum.accumulate(losses)
+        assert np.all(np.isfinite(losses)) and lowest[-1] < 0.4 * losses[0] and losses[-1] < 4 * lowest[-1]
 
 
 def test_a_step_that_raised_the_loss_is_taken_back() -> None:

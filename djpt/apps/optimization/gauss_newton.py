@@ -30,11 +30,14 @@ DAMPING = 1e-2
 FEW = 16
 """The number of entries up to which a variable's derivatives are computed entry by entry if their signs differ."""
 
-RISEN = 2.0
+RISEN = 1.5
 """The ratio of a loss to the lowest one above which the last step is taken back."""
 
 LESS = 4.0
 """The factor by which a step that is repeated is shorter; up to its cube if the gradient has changed as much."""
+
+WARNED = 1.5
+"""The factor of the least damping after a step that was taken back, until the curvature is measured again."""
 
 SLOW = 0.25
 """The growth of the gradient below which steps may be longer again."""
@@ -88,6 +91,8 @@ class GaussNewton(drjit.opt.Optimizer[tuple[Any, Any, Any]]):
         self.momentum = momentum
         self.damping = 1.0
         """The factor of D, at least 1: larger after steps that had to be taken back."""
+        self.least = 1.0
+        """The least damping: every step that had to be taken back has shown that the curvature is underestimated."""
         self.lowest = np.inf
         """The lowest loss of all steps."""
         super().__init__(lr, params)
@@ -105,6 +110,7 @@ class GaussNewton(drjit.opt.Optimizer[tuple[Any, Any, Any]]):
 
     def precondition(self, curvatures: Mapping[str, Doubles]) -> None:
         """Divide by these curvatures, slightly increased, from now on."""
+        self.least = 1.0
         for name, curvature in curvatures.items():
             value, promoted, rate, (before, gradient, old) = self.state[name]
             damped = curvature + DAMPING * np.max(curvature)
@@ -129,8 +135,8 @@ class GaussNewton(drjit.opt.Optimizer[tuple[Any, Any, Any]]):
         """Take a step, or take the last one back and repeat it more cautiously.
 
         Args:
-            loss: The loss at the current values, as a number; without it the last step isn't checked. More than twice
-                the lowest loss so far isn't noise.
+            loss: The loss at the current values, as a number; without it the last step isn't checked. More than 1.5
+                times the lowest loss so far isn't noise.
             options: As those of `drjit.opt.Optimizer.step`.
 
         Raises:
@@ -147,12 +153,12 @@ class GaussNewton(drjit.opt.Optimizer[tuple[Any, Any, Any]]):
         else:
             self.lowest = np.fmin(self.lowest, value)
             if self.growth() < SLOW:
-                self.damping = max(1.0, self.damping / 2)
+                self.damping = max(self.least, self.damping / 2)
         super().step(**options)
 
     def take_back(self) -> None:
         """Return to the start of the last step, and to the gradient there, and raise the damping."""
-        growth = self.growth()
+        growth, self.least = self.growth(), WARNED * self.least
         self.damping *= np.clip(growth, LESS, LESS**3) if np.isfinite(growth) else LESS**3
         for name, (value, promoted, rate, (before, gradient, curvature)) in self.state.items():
             shape = (value.shape,) if dr.is_tensor_v(value) else ()

@@ -220,7 +220,7 @@ def save_state(path: str | os.PathLike[str], search: Search, losses: list[float]
     }
     if search.curvatures is not None:
         arrays |= {f"curvature:{key}": array for key, array in search.curvatures.arrays().items()}
-        header["damping"] = search.optimizer.damping
+        header["damping"], header["least_damping"] = search.optimizer.damping, search.optimizer.least
     with writing(as_path(path)) as temporary, temporary.open("wb") as file:
         np.savez(file, header=np.frombuffer(json.dumps(header).encode(), np.uint8), **arrays)
 
@@ -254,7 +254,7 @@ def load_state(path: str | os.PathLike[str], search: Search) -> tuple[int, list[
         if search.curvatures is not None:
             known = {key.partition(":")[2]: arrays[key] for key in arrays if key.startswith("curvature:")}
             search.curvatures.restore(known)
-            optimizer.damping = float(header["damping"])
+            optimizer.damping, optimizer.least = float(header["damping"]), float(header.get("least_damping", 1))
         return int(header["iteration"]), list(header["losses"]), {name: arrays[f"sum:{name}"] for name in variables}
     except FileError:
         raise
