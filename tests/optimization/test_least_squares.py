@@ -226,3 +226,30 @@ def test_columns_of_the_step_before_are_the_second_estimate() -> None:
         found.append(np.trace(system.normal) / np.sum(np.square(matrix)))
     # One estimate is too large by 0.49, the mean of products of two by nothing.
     assert abs(found[0] - 1.49) < 0.25 and abs(np.mean(found[1:]) - 1) < 0.06
+
+
+def test_differences_serve_again_after_steps_that_went_well() -> None:
+    """The first step takes two images for each of four numbers and two more, the next ones only the latter."""
+    rng = np.random.default_rng(4)
+    matrix, truth = rng.normal(0, 1, (40, 4)).astype(np.float32), rng.normal(0, 1, 4).astype(np.float32)
+    rows, column, calls = djpt.Float(matrix.ravel()), dr.arange(djpt.UInt32, matrix.size) % 4, list[int]()
+
+    def bent(x: Any) -> Any:
+        product = dr.block_sum(rows * dr.gather(djpt.Float, x, column), 4)
+        return product + 0.05 * dr.square(product)
+
+    wanted, counts, losses = bent(djpt.Float(truth)), list[int](), list[float]()
+
+    def residual(x: Any, seed: int) -> Any:
+        calls.append(seed)
+        return bent(x["x"]) - wanted
+
+    def seen(i: int, loss: float, x: Any) -> None:
+        counts.append(len(calls))
+        losses.append(loss)
+        calls.clear()
+
+    start = {"x": dr.zeros(djpt.Float, 4)}
+    found = least_squares(residual, start, differences={"x": 0.01}, iterations=4, images=1, callback=seen)
+    assert counts[:3] == [10, 2, 2] and losses[3] < 1e-3 * losses[0]
+    assert np.allclose(np.array(found.values["x"]), truth, atol=0.02)

@@ -11,6 +11,8 @@ loss and rises after those that don't, which are taken back (Levenberg 1944, Mar
 * Few variables have all columns of J computed: one forward derivative each, or the difference of two images with the
   same random numbers. A difference over the width of a pixel is the derivative of a blurred picture, edges and shadows
   included, costs two images without any derivative, and knows the way from farther away (Fischer and Ritschel 2023).
+  After a step that went as expected they are corrected by what it has changed (Broyden, "A Class of Methods for Solving
+  Nonlinear Simultaneous Equations", Mathematics of Computation 19, 1965), which costs no image.
 * Many have J^T J v by one forward and one reverse derivative per product. A basis of few products serves all
   dampings, since D scales the variables to equal curvature, after which damping is a shift. It ends where one more
   product would hardly lower the loss further, after two or three far from the minimum; those of the last steps are
@@ -89,6 +91,9 @@ PATIENCE = 4
 
 ALONE = 1e-3
 """The share of the largest curvature that is added for damping: entries without any effect don't move."""
+
+FELL_MUCH = 0.5
+"""The ratio of a loss to that before a step below which the differences of that step serve for the next one."""
 
 LEAST_WEIGHT = 0.1
 """The least weight of the residuals of a step in their mean with those that the steps before predict."""
@@ -182,7 +187,7 @@ def least_squares(
         if halvings != problem.halvings:
             problem.halvings, damping = halvings, min(damping, first)
             problem.products.clear()
-            problem.columns = problem.before = None
+            problem.columns = problem.before = problem.differences = None
             problem.refined = coarse - halvings
         number = round_seed(seed, i)
         now = problem.residuals(x, number)
@@ -197,7 +202,8 @@ def least_squares(
             problem.images = min(2 * problem.images, max(1, images))
         losses.append(loss)
         # The same random numbers: half of the images are enough to judge steps by.
-        judging, before = problem.judged
+        judging, begun = problem.judged
+        before = float(np.mean(np.square(begun)))
         system = problem.system(x, now, number, damping)
         for _ in range(TRIES):
             moved = problem.within(x + system.step(damping) / (1 + stalled / PATIENCE))
@@ -205,6 +211,7 @@ def least_squares(
             after = float(np.mean(np.square(there)))
             if after < before:
                 last = there, judging
+                problem.follow(moved - x, there - begun, after / before)
                 x, damping = moved, max(damping * FALLS, LEAST)
                 break
             damping, taken_back = min(damping * RISES, MOST), taken_back + 1
@@ -249,7 +256,10 @@ class Problem:
         """The images of the last residuals."""
         self._linear: Linear
         """The residuals about the place from which a step begins."""
-        self.judged = 1, np.inf
+        self.judged: tuple[int, Doubles] = 1, np.zeros(0)
+        """The number of the images that steps are judged by, and the residuals by them where a step begins."""
+        self.differences: Doubles | None = None
+        """The columns of the last step if all are differences and its end was as they said, of this size of images."""
         self.before: tuple[Linear, Doubles] | None = None
         """The residuals about the place of the last step, with the mean of J over steps, and that of r - J x."""
         self.noise = 0.0
@@ -301,7 +311,7 @@ class Problem:
             found, self._images = self._passes.residuals(self.variables(x), each, self.halvings)
             total = total + np.array(found, np.float64)
             if k == (len(seeds) - 1) // 2:
-                self.judged = k + 1, float(np.mean(np.square(total / (k + 1))))
+                self.judged = k + 1, total.ravel() / (k + 1)
         self._shape, self._kind = found.shape, type(found)
         return total.ravel() / len(seeds)
 
@@ -337,7 +347,9 @@ class Problem:
         if x.size > DENSE and not self._distances.any():
             now = self._averaged(x, now)
             return MatrixFree(self, x, now, seed, damping)
-        first = self._columns(x, round_seed(seed, 1), range(x.size))
+        known = self.differences
+        first = self._columns(x, round_seed(seed, 1), range(x.size)) if known is None else known
+        self.differences = first if self._distances.all() else None
         # Differences have little noise: one estimate is enough. Derivatives of the last step are another estimate.
         second = first.copy()
         derived = np.flatnonzero(self._distances == 0)
@@ -347,6 +359,17 @@ class Problem:
             self.columns = first[:, derived]
         product = first.T @ second
         return Dense(positive(product), first.T @ now)
+
+    def follow(self, step: Doubles, change: Doubles, ratio: float) -> None:
+        """Correct differences by what a step has changed, or forget them if the loss fell little, to a `ratio`.
+
+        The correction is the least one by which they explain the change.
+        """
+        if self.differences is not None and ratio < FELL_MUCH:
+            missing = change - self.differences @ step
+            self.differences = self.differences + np.outer(missing, step / (step @ step))
+        else:
+            self.differences = None
 
     def _averaged(self, x: Doubles, now: Doubles) -> Doubles:
         """The residuals at x, averaged with what those of the steps before predict, as their derivatives are.
