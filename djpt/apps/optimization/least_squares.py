@@ -65,8 +65,8 @@ DENSE = 12
 PRODUCTS = 8
 """The most products of a step."""
 
-ENOUGH = 0.03
-"""The share of what a step gains below which the last product hasn't changed it."""
+ENOUGH, ENOUGH_TABULATED = 0.1, 0.03
+"""The share of what a step gains below which the last product hasn't changed it; the second with a table for J."""
 
 KEPT = 24
 """The number of products that are kept for later steps."""
@@ -467,6 +467,7 @@ class MatrixFree:
         for v, product in problem.products[::-1]:
             self._extend(v / self._scale, self._scale * product)
         left, gain = self._slope, self._gain(damping)
+        enough = ENOUGH if problem.before is None else ENOUGH_TABULATED
         for _ in range(min(PRODUCTS, x.size)):
             q = self._apart(left)
             length = float(np.linalg.norm(q))
@@ -477,7 +478,7 @@ class MatrixFree:
             problem.products.append((self._scale * q, bent / self._scale))
             self._extend(q, bent)
             before, gain = gain, self._gain(damping)
-            if gain - before < ENOUGH * gain:
+            if gain - before < enough * gain:
                 break
             # What the step leaves of the slope, by all products so far.
             left = self._slope - self._inner(damping) @ self._bent

@@ -214,13 +214,13 @@ class KnownDerivative:
     def backward(self, image: TensorXf) -> list[Any]:
         """The gradients of the parameters, from the derivatives with respect to the pixels (H, W, C)."""
         with dr.suspend_grad():
-            adjoints, pixels = on_grid(self._job, image), dr.opaque(UInt32, self._pixels)
-            sums: dict[tuple[int, int], Float] = {}
+            adjoints = on_grid(self._job, image)
+            products: dict[tuple[int, int], Float] = {}
             for (space, component, channel), table in self.jacobian.items():
-                place = dr.arange(UInt32, dr.width(table))
-                weight = dr.gather(Float, adjoints[channel], place - place // pixels * pixels)
-                part = dr.block_sum(table * weight, self._pixels)
-                sums[space, component] = sums[space, component] + part if (space, component) in sums else part
+                # The number of pixels is written into the kernel: to divide by an input takes longer than all else.
+                weight = dr.gather(Float, adjoints[channel], dr.arange(UInt32, dr.width(table)) % self._pixels)
+                products[space, component] = dr.fma(table, weight, products.get((space, component), Float(0)))
+            sums = {column: dr.block_sum(product, self._pixels) for column, product in products.items()}
             dr.eval(sums)
             return self._spaces.gradients(sums)
 
