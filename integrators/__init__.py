@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from djpt.integrators.upbp import UnifiedPointsBeamsPaths as UnifiedPointsBeamsPaths
     from djpt.integrators.vcm import VertexConnectionMerging as VertexConnectionMerging
     from djpt.integrators.volpath import VolumetricPath as VolumetricPath
+    from djpt.integrators.volpathcache import CachedVolumetricPath as CachedVolumetricPath
     from djpt.integrators.volpathmis import VolumetricPathMIS as VolumetricPathMIS
     from djpt.integrators.volprim_rf_basic import (
         BasicVolumetricPrimitiveRadianceFieldIntegrator as BasicVolumetricPrimitiveRadianceFieldIntegrator,

@@ -59,7 +59,7 @@ class VolumetricPath(UnidirectionalPath):
     pure = True
     in_any_frame = True
 
-    schedules = ("flat", "media_machine", "wave")
+    schedules: tuple[str, ...] = ("flat", "media_machine", "wave")
     follows_media = True
     spectral_mis = False
     """True if each flight draws a channel, and has the density of all together: see `djpt.integrators.volpathmis`."""

@@ -206,6 +206,7 @@ ELSEWHERE: dict[str, str] = {
     "upbp": "`vcm`, with media in which rays gather photons and beams of light",
     "volpath": "`path`, with media that scatter light",
     "volpathmis": "`volpath`, with weights for media of several colours",
+    "volpathcache": "`volpathmis`, with paths that end in a cache of the light in media",
     "prbvolpath": "`volpath` with other defaults",
     "volprim_rf_basic": "the radiance fields of ellipsoids, without scattering",
     "depth": "distances, not light",

@@ -1,0 +1,198 @@
+"""The cache of light in media: what matter scatters at each place, learned from paths that went on to the light.
+
+A path that is scattered at x, with the throughput b there, and finds the radiance L from then on, has estimated the
+light S = L / b that x sends towards the vertex before. If matter scatters evenly S is the same in all directions, and
+in dense matter it changes little within a free path: its mean over a cell says what other paths would find.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import drjit as dr
+import numpy as np
+
+from djpt.core.records import Ray3f
+from djpt.integrators.base import PathIntegrator, Vertex
+from djpt.jit.kernels import as_float, loop_traced_once, maximum, minimum, own_floats, while_loop, wide
+from djpt.jit.types import Array4f, Bool, Color3f, Float, Int64, Point3f, UInt32, Vector3f
+from djpt.samplers.base import SampleStream
+
+if TYPE_CHECKING:
+    from djpt.scene.scene import Scene
+
+__all__ = ["LightCache", "LightCells", "ScatteringVertex", "learned"]
+
+SIDE = 16
+"""The cells along each edge of a medium's box."""
+
+DIGITS = 24
+"""Binary digits behind the point of the sums, whole numbers whose order doesn't matter."""
+
+MOST = 2.0**12
+"""The largest summand, in units of the lights' brightness."""
+
+REMEMBERED = 64
+"""The number of vertices that a path remembers."""
+
+VISITS = 16
+"""The visits from which on a cell's mean is used."""
+
+
+class LightCells:
+    """The cells of media: the box about the shapes that have a medium inside is cut into `SIDE`^3.
+
+    A medium that is inside of no shape, such as fog that fills all space, has none.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        media = scene.media
+        low = np.full((media.vacuum + 1, 3), np.inf)
+        high = -low
+        for shape in scene.geometry.contents.shapes:
+            medium = shape.interior_medium()
+            if medium is not None:
+                number, corners = media.number(medium), shape.world_box()
+                low[number], high[number] = np.minimum(low[number], corners[0]), np.maximum(high[number], corners[1])
+        bounded = np.isfinite(high - low).all(axis=1, keepdims=True)
+        edges = np.maximum(np.where(bounded, high - low, 1), 1e-30)
+        self.count = (media.vacuum + 1) * SIDE**3
+        self._low = own_floats(np.where(bounded, low, np.inf).astype(np.float32))
+        self._scale = own_floats((SIDE / edges).astype(np.float32))
+
+    def at(self, medium: UInt32, p: Point3f, offset: Any, active: Bool) -> tuple[UInt32, Bool]:
+        """The number of the cell of a point, moved by an `offset` in units of cells; False where there is none.
+
+        Rounding may have left a point beside its box.
+        """
+        low, scale = (dr.gather(Vector3f, table, medium, active) for table in (self._low, self._scale))
+        place = (p - low) * scale
+        there = active & (low.x < dr.inf) & (dr.max(dr.abs(place - SIDE / 2)) < SIDE / 2 + 1)
+        x, y, z = (UInt32(minimum(maximum(c, 0.0), SIDE - 1.0)) for c in place + offset)
+        return dr.select(there, ((medium * SIDE + z) * SIDE + y) * SIDE + x, 0), there
+
+
+@dataclass
+class LightCache:
+    """The light that media scatter, cell by cell."""
+
+    cells: LightCells
+    table: Float
+    """Red, green and blue of each cell, and 1 if they are known."""
+
+    def scattered(self, medium: UInt32, p: Point3f, u: Vector3f, active: Bool) -> tuple[Color3f, Bool]:
+        """The light that is scattered at a point, by three uniform numbers; False where it isn't known.
+
+        The numbers move the point by up to half a cell: the mean is that of linear interpolation.
+        """
+        cell, there = self.cells.at(medium, p, Vector3f(0), active)
+        moved, _ = self.cells.at(medium, p, u - 0.5, active)
+        own, near = (dr.gather(Array4f, self.table, i, there) for i in (cell, moved))
+        light = dr.select(near.w > 0, near, own)
+        return Color3f(light.x, light.y, light.z), there & (own.w > 0)
+
+
+@dataclass
+class ScatteringVertex(Vertex):
+    """A vertex whose light a cache may know, or learn."""
+
+    cell: UInt32 = field(default_factory=UInt32)
+    """The cell of the vertex."""
+    in_cell: Bool = field(default_factory=Bool)
+    """True where light is scattered in a cell."""
+    throughput: Color3f = field(default_factory=Color3f)
+    """That of the path, with what this vertex leaves: what the cell's light is to be multiplied by."""
+
+
+@dataclass
+class Note:
+    """A vertex, as a path remembers it."""
+
+    cell: UInt32
+    throughput: Color3f
+    before: Color3f
+    """The radiance that the path has found since the vertex noted before."""
+
+
+@dataclass
+class Lane:
+    """Loop state of a path."""
+
+    o: Point3f
+    d: Vector3f
+    medium: UInt32 | None
+    times: Any
+    sampler: Any
+    state: Any
+    notes: Any
+    """In local memory."""
+    count: UInt32
+    since: Color3f
+    """The radiance found since the last vertex noted."""
+    active: Bool
+
+
+def learned(
+    integrator: PathIntegrator, scene: Scene, cells: LightCells, sampler: SampleStream, ray: Ray3f, unit: float
+) -> LightCache:
+    """The cache by one path per lane.
+
+    Args:
+        integrator: One whose vertices are `ScatteringVertex`.
+        scene: The scene.
+        cells: The cells.
+        sampler: Random numbers.
+        ray: Camera rays.
+        unit: A usual radiance.
+    """
+    lanes = dr.width(ray, sampler)
+    visits, sums = dr.zeros(UInt32, cells.count), dr.zeros(Int64, 3 * cells.count)
+    dr.eval(visits, sums)
+    start = Lane(
+        o=wide(ray.o, lanes),
+        d=wide(ray.d, lanes),
+        medium=wide(ray.medium, lanes),
+        times=wide(ray.times, lanes),
+        sampler=sampler,
+        state=wide(integrator.begin(scene, sampler), lanes),
+        notes=dr.alloc_local(Note, REMEMBERED),
+        count=dr.zeros(UInt32, lanes),
+        since=dr.zeros(Color3f, lanes),
+        active=dr.full(Bool, True, lanes),
+    )
+
+    def body(lane: Lane) -> tuple[Lane]:
+        way = Ray3f(lane.o, lane.d, maxt=dr.select(lane.state.depth == 0, ray.maxt, dr.inf), medium=lane.medium)
+        way.times = lane.times
+        si = integrator.trace(scene, lane.state, way, lane.sampler)
+        v: Any = integrator.advance(scene, lane.sampler, lane.state, way, si)
+        arrived, scattered = lane.since + v.emitted, integrator.transmittance(scene, lane.sampler, v)
+        noted = v.in_cell & (lane.count < REMEMBERED)
+        lane.notes.write(Note(v.cell, v.throughput, arrived), lane.count, noted)
+        since = dr.select(noted, 0, arrived) + scattered
+        count = dr.select(noted, lane.count + 1, lane.count)
+        on = v.ray
+        return (Lane(on.o, on.d, on.medium, on.times, lane.sampler, v.state, lane.notes, count, since, v.active),)
+
+    (end,) = loop_traced_once(start, lambda lane: lane.active, body, "light cache")
+    scale = dr.rcp(as_float(unit))
+
+    def add(left: UInt32, since: Color3f, notes: Any) -> tuple[UInt32, Color3f, Any]:
+        left = left - 1
+        note = notes.read(left)
+        for channel in range(3):
+            b = note.throughput[channel]
+            light = minimum(dr.select(b > 0, since[channel] * dr.rcp(b) * scale, 0), MOST)
+            dr.scatter_add(sums, Int64(dr.round(light * 2.0**DIGITS)), note.cell * 3 + channel)
+        dr.scatter_add(visits, UInt32(1), note.cell)
+        return left, since + note.before, notes
+
+    last, _, _ = while_loop(
+        (end.count, end.since, end.notes), lambda left, since, notes: left > 0, add, label="light cache notes"
+    )
+    dr.eval(last, visits, sums)
+    seen = visits.numpy().astype(np.float64)[:, None]
+    mean = sums.numpy().reshape(-1, 3) * (unit / 2.0**DIGITS) / np.maximum(seen, 1)
+    table = np.concatenate([mean, seen >= VISITS], axis=1)
+    return LightCache(cells, own_floats(table.astype(np.float32)))
