@@ -253,3 +253,28 @@ def test_differences_serve_again_after_steps_that_went_well() -> None:
     found = least_squares(residual, start, differences={"x": 0.01}, iterations=4, images=1, callback=seen)
     assert counts[:3] == [10, 2, 2] and losses[3] < 1e-3 * losses[0]
     assert np.allclose(np.array(found.values["x"]), truth, atol=0.02)
+
+
+@pytest.mark.parametrize("frozen", [False, True])
+def test_means_over_steps_have_less_noise(frozen: bool) -> None:
+    """Of a place that is approached, the gradient is that of many samples, with less noise than that of one step."""
+    _, image = painted()
+    target = image({"x": djpt.TensorXf(TEXELS)}, 99)
+    problem = Problem(Passes(lambda x, seed: image(x, seed) - target, frozen), {"x": djpt.TensorXf(TEXELS)}, {}, {})
+    x, slopes = problem.start * 0.9, list[tuple[Any, Any]]()
+    for row in range(8):
+        problem.before, problem.noise = None, 0.0
+        for k in range(6):
+            place, number = x - (5 - k) * 0.004, 10 * row + k
+            before = problem.residuals(place, 1000 + number)
+            now = problem.residuals(place, number)
+            if k:
+                problem.noise = float(np.mean(np.square(now - before))) / 2
+            mean = problem.slope(place, now, number)
+        problem.before = None
+        slopes.append((mean, problem.slope(x, now, number)))
+    means, singles = (np.array(part) for part in zip(*slopes, strict=True))
+    reference = np.concatenate([means, singles]).mean(axis=0)
+    errors = [float(np.mean(np.square(several - reference))) for several in (means, singles)]
+    assert errors[0] < 0.6 * errors[1]
+    assert np.linalg.norm(means.mean(axis=0) - singles.mean(axis=0)) < 0.2 * np.linalg.norm(reference)

@@ -342,8 +342,7 @@ class Problem:
     def system(self, x: Doubles, now: Doubles, seed: int, damping: float) -> Dense | MatrixFree:
         """The equations of a step from a vector with the residuals `now`, the last ones that were computed."""
         if x.size > DENSE or not self._distances.all():
-            variables = self.variables(x)
-            self._linear = self._passes.linear(variables, self._images, round_seed(seed, 1), self.halvings)
+            self._linearise(x, seed)
         if x.size > DENSE and not self._distances.any():
             now = self._averaged(x, now)
             return MatrixFree(self, x, now, seed, damping)
@@ -370,6 +369,15 @@ class Problem:
             self.differences = self.differences + np.outer(missing, step / (step @ step))
         else:
             self.differences = None
+
+    def slope(self, x: Doubles, now: Doubles, seed: int) -> Doubles:
+        """J^T r at a vector with the residuals `now`, averaged with the steps before if there are tables of J."""
+        self._linearise(x, seed)
+        return self.reverse(self._averaged(x, now))
+
+    def _linearise(self, x: Doubles, seed: int) -> None:
+        """Find what products with J take at a vector, whose residuals are the last ones that were computed."""
+        self._linear = self._passes.linear(self.variables(x), self._images, round_seed(seed, 1), self.halvings)
 
     def _averaged(self, x: Doubles, now: Doubles) -> Doubles:
         """The residuals at x, averaged with what those of the steps before predict, as their derivatives are.

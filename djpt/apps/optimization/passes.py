@@ -54,8 +54,8 @@ class Linear:
         return self.reverse(self.forward(tangents))
 
     def by(self, other: Linear) -> Linear | None:
-        """These residuals with the Jacobians of others; None if an image has none in memory."""
-        if len(self.known) < self.images or self.known.keys() != other.known.keys():
+        """These residuals with the Jacobians of others; None if an image has none in memory, or there is no image."""
+        if not self.known or len(self.known) < self.images or self.known.keys() != other.known.keys():
             return None
         return replace(self, known=other.known)
 
