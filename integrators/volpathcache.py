@@ -46,13 +46,14 @@ class CachedVolumetricPath(VolumetricPathMIS, LearningIntegrator):
 
         L = T_1 S_1 + .. + T_(after - 1) S_(after - 1) + b S_cell,
 
-    with the throughput b. The image is an approximation. S_cell is the mean over a cell, a sixteenth of the body along
-    each axis; over directions, which matters where the phase function isn't `isotropic` (see `asymmetry` of the
+    with the throughput b. The image is an approximation. S_cell is the mean over a cell, about a free path wide; over
+    directions, which matters where the phase function isn't `isotropic` (see `asymmetry` of the
     medium); over lengths, so `max_depth` should be too large to be felt; and, if something moves, over time. The larger
     `after`, the less of that is seen. The noise of the cache, which neighbouring pixels share, decreases like that of
     the image.
 
-    Only media that are the `interior` of a shape have cells. All other light, that of surfaces included, is as in
+    Only media that are the `interior` of a shape have cells, and only if it is at most 32 free paths wide: see
+    `djpt.integrators.guiding.light_cache.LightCells`. All other light, that of surfaces included, is as in
     `volpathmis`. There are no derivatives.
 
     Parameters: those of `volpathmis` but `bounces`; `after` (default 2, at least 1), `practice` (training paths, as
@@ -70,7 +71,7 @@ class CachedVolumetricPath(VolumetricPathMIS, LearningIntegrator):
     opaque_after: UInt32
     """`after`, 1-wide: one kernel is that of all values."""
     cache: LightCache | None = None
-    """The light that was learned; None in training."""
+    """The light that was learned; None in training, and if no medium has cells."""
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
@@ -91,6 +92,8 @@ class CachedVolumetricPath(VolumetricPathMIS, LearningIntegrator):
         trained = copy.copy(self)
         trained.schedules, trained.cells = VolumetricPathMIS.schedules, LightCells(scene)
         trained.opaque_after = dr.opaque(UInt32, self.after)
+        if not trained.cells.any:
+            return trained
         least, most = TRAINING_PATHS
         sampler, ray = training_paths.begin(0, int(min(max(self.practice * training_paths.samples, least), most)))
         trained.cache = learned(trained, scene, trained.cells, sampler, ray, scene.lights.brightness or 1.0)

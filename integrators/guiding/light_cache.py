@@ -14,18 +14,23 @@ import drjit as dr
 import numpy as np
 
 from djpt.core.records import Ray3f
+from djpt.core.records.interactions import MediumInteraction3f
 from djpt.integrators.base import PathIntegrator, Vertex
-from djpt.jit.kernels import as_float, loop_traced_once, maximum, minimum, own_floats, while_loop, wide
+from djpt.jit.kernels import as_float, loop_traced_once, maximum, minimum, own_copy, own_floats, while_loop, wide
 from djpt.jit.types import Array4f, Bool, Color3f, Float, Int64, Point3f, UInt32, Vector3f
 from djpt.samplers.base import SampleStream
 
 if TYPE_CHECKING:
+    from djpt.media.base import Medium
     from djpt.scene.scene import Scene
 
 __all__ = ["LightCache", "LightCells", "ScatteringVertex", "learned"]
 
-SIDE = 16
-"""The cells along each edge of a medium's box."""
+SIDES = 12, 32
+"""The least and the largest number of cells along an edge of a medium's box."""
+
+WIDEST = 1.0
+"""The largest width of a cell, in free paths."""
 
 DIGITS = 24
 """Binary digits behind the point of the sums, whole numbers whose order doesn't matter."""
@@ -41,9 +46,12 @@ VISITS = 16
 
 
 class LightCells:
-    """The cells of media: the box about the shapes that have a medium inside is cut into `SIDE`^3.
+    """The cells of media: the box about the shapes that have a medium inside is cut along each axis.
 
-    A medium that is inside of no shape, such as fog that fills all space, has none.
+    Cells are about as wide as a free path, but there are at least `SIDES[0]` along an axis, and at most `SIDES[1]`.
+    Paths end near the surface of a body, and others leave most of their light deeper: where cells would be wider than
+    `WIDEST` free paths, their mean would be too dark. Such a medium has none, nor has one that is inside of no shape,
+    such as fog that fills all space.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -55,22 +63,41 @@ class LightCells:
             if medium is not None:
                 number, corners = media.number(medium), shape.world_box()
                 low[number], high[number] = np.minimum(low[number], corners[0]), np.maximum(high[number], corners[1])
-        bounded = np.isfinite(high - low).all(axis=1, keepdims=True)
-        edges = np.maximum(np.where(bounded, high - low, 1), 1e-30)
-        self.count = (media.vacuum + 1) * SIDE**3
-        self._low = own_floats(np.where(bounded, low, np.inf).astype(np.float32))
-        self._scale = own_floats((SIDE / edges).astype(np.float32))
+        edges = high - low
+        bounded = np.isfinite(edges).all(axis=1)
+        free_paths = np.where(bounded[:, None], edges, 0) * [[densest(m)] for m in [*media.plugins, None]]
+        sides = np.clip(np.ceil(free_paths), *SIDES)
+        bounded &= (free_paths <= WIDEST * sides).all(axis=1)
+        self.any = bool(bounded.any())
+        """False if no medium has cells."""
+        first = np.concatenate([[0], np.cumsum(sides.prod(axis=1))])
+        self.count = int(first[-1])
+        self._low = own_floats(np.where(bounded[:, None], low, np.inf).astype(np.float32))
+        scale = sides / np.where(bounded[:, None], np.maximum(edges, 1e-30), 1)
+        self._scale, self._sides = (own_floats(table.astype(np.float32)) for table in (scale, sides))
+        self._first = own_copy(first[:-1].astype(np.uint32))
 
     def at(self, medium: UInt32, p: Point3f, offset: Any, active: Bool) -> tuple[UInt32, Bool]:
         """The number of the cell of a point, moved by an `offset` in units of cells; False where there is none.
 
         Rounding may have left a point beside its box.
         """
-        low, scale = (dr.gather(Vector3f, table, medium, active) for table in (self._low, self._scale))
-        place = (p - low) * scale
-        there = active & (low.x < dr.inf) & (dr.max(dr.abs(place - SIDE / 2)) < SIDE / 2 + 1)
-        x, y, z = (UInt32(minimum(maximum(c, 0.0), SIDE - 1.0)) for c in place + offset)
-        return dr.select(there, ((medium * SIDE + z) * SIDE + y) * SIDE + x, 0), there
+        tables = (self._low, self._scale, self._sides)
+        low, scale, sides = (dr.gather(Vector3f, table, medium, active) for table in tables)
+        place, half = (p - low) * scale, sides / 2
+        there = active & (low.x < dr.inf) & (dr.max(dr.abs(place - half) - half) < 1)
+        places = zip(place + offset, sides, strict=True)
+        x, y, z = (UInt32(minimum(maximum(c, 0.0), side - 1.0)) for c, side in places)
+        cell = (z * UInt32(sides.y) + y) * UInt32(sides.x) + x
+        return dr.select(there, dr.gather(UInt32, self._first, medium, active) + cell, 0), there
+
+
+def densest(medium: Medium | None) -> float:
+    """The largest extinction of a medium; 0 for the vacuum."""
+    if medium is None:
+        return 0.0
+    at = MediumInteraction3f.on(Ray3f(Point3f(0), Vector3f(0, 0, 1)), Float(0))
+    return float(np.max(dr.detach(medium.get_majorant(at)).numpy()))
 
 
 @dataclass

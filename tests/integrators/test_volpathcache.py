@@ -9,7 +9,7 @@ import pytest
 
 import djpt
 from djpt.errors import SceneError
-from djpt.integrators.guiding.light_cache import SIDE, VISITS, LightCells
+from djpt.integrators.guiding.light_cache import VISITS, LightCells
 from djpt.integrators.volpathcache import CachedVolumetricPath
 from djpt.jit.types import Bool, Point3f, UInt32, Vector3f
 from djpt.rendering.image import make_job
@@ -69,14 +69,24 @@ def test_cells() -> None:
     """Each cell of a body has its own number; beside the body, in other media and in the vacuum there is none."""
     scene = djpt.load_dict(lit(ball(MILK, GLASS))).replace(all_media=True)
     cells, number = LightCells(scene), scene.media.number(scene.shapes()[0].interior_medium())
-    centres = (np.indices([SIDE] * 3).reshape(3, -1) + 0.5) / SIDE * 2 - 1
+    side = 16  # the ball is as many free paths wide
+    centres = (np.indices([side] * 3).reshape(3, -1) + 0.5) / side * 2 - 1
     found, there = cells.at(UInt32(number), Point3f(centres.astype(np.float32)), Vector3f(0), Bool(True))
-    assert np.array(there).all() and len(set(np.array(found))) == SIDE**3
+    assert np.array(there).all() and len(set(np.array(found))) == side**3
     assert np.array(found).max() < cells.count
     _, outside = cells.at(UInt32(number), Point3f([0, 1.2, np.inf], [-1.3, 0, 0], 0), Vector3f(0), Bool(True))
     assert not np.array(outside).any()
     _, vacuum = cells.at(UInt32(scene.media.vacuum), Point3f(0), Vector3f(0), Bool(True))
     assert not np.array(vacuum).any()
+
+
+def test_cells_are_no_wider_than_light_gets() -> None:
+    """Of a body that is too wide for its cells, no point has one; of one just small enough, the centre has."""
+    for sigma_t, has in ((15.9, True), (16.1, False)):
+        scene = djpt.load_dict(lit(ball({**MILK, "sigma_t": sigma_t}, GLASS))).replace(all_media=True)
+        number = scene.media.number(scene.shapes()[0].interior_medium())
+        _, there = LightCells(scene).at(UInt32(number), Point3f(0), Vector3f(0), Bool(True))
+        assert bool(np.array(there)[0]) == has
 
 
 @pytest.mark.parametrize("radiance", [1.0, 1e-3, 1e4])
@@ -86,7 +96,7 @@ def test_cached_light_of_a_furnace(radiance: float) -> None:
     for bsdf, square in (({"type": "null"}, 1.0), (GLASS, 1.35**2)):
         table = np.array(trained(lit(ball(white, bsdf), radiance), practice=1.0).cache.table).reshape(-1, 4)
         known = table[:, 3] > 0
-        assert 500 < known.sum() < SIDE**3
+        assert 500 < known.sum() < len(known)
         np.testing.assert_allclose(table[known, :3].mean(0), radiance * square, rtol=2e-2)
         np.testing.assert_array_equal(table[:, 3], known)
     assert VISITS > 1
