@@ -128,6 +128,7 @@ if TYPE_CHECKING:
     from djpt.jit.types import Vector3f as Vector3f
     from djpt.materials import BSDF as BSDF
     from djpt.materials.pointer import BSDFPtr as BSDFPtr
+    from djpt.media.translucent import subsurface as subsurface
     from djpt.mitsuba import ad as ad
     from djpt.mitsuba import util as util
     from djpt.mitsuba import xml as xml

@@ -43,7 +43,8 @@ class Homogeneous(MeasuredMedium):
     default 1), `albedo` (the scattered fraction: a number, rgb or volume in [0, 1], default 0.75), or in place of
     `sigma_t` and `albedo` a `material` (a name of `djpt.media.translucent.MATERIALS`, such as `whole_milk`, per mm), or
     a `color` in [0, 1] (that of a large body of the medium, if light is scattered evenly) with a `radius` (1 / sigma_t,
-    a number or rgb > 0, default 1); `asymmetry` (in (-1, 1), in place of a phase function: `sigma_t` and `albedo` are
+    a number or rgb > 0, default 1) and a `boundary_eta` (the index of the boundary behind which it is to have that
+    colour, 1 to 4, default 1: none); `asymmetry` (in (-1, 1), in place of a phase function: `sigma_t` and `albedo` are
     those of a medium whose phase function has this mean cosine, and become those of one that looks the same deep below
     its surface, and scatters evenly: `djpt.media.translucent.similar`);
     `has_spectral_extinction` (default true; false: `sigma_t` is grey, and a colour's first channel counts), a phase

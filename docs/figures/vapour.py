@@ -11,7 +11,7 @@ import djpt
 from djpt import ScalarTransform4f as T
 from places import IMAGES
 
-__all__ = ["candles", "milk", "smoke", "sunbeams"]
+__all__ = ["candles", "milk", "smoke", "subsurface", "sunbeams"]
 
 NULL = {"type": "null"}
 
@@ -34,6 +34,11 @@ def sunbeams() -> None:
 def candles() -> None:
     """Wax of three colours, and flames."""
     draw("candles", candles_scene(), 256)
+
+
+def subsurface() -> None:
+    """Milk, marble, skin, and what has the colour of wax."""
+    draw("subsurface", subsurface_scene(), 512)
 
 
 def draw(name: str, scene: dict[str, Any], spp: int) -> None:
@@ -264,4 +269,29 @@ def candles_scene() -> dict[str, Any]:
         **candle(-0.85, 0.0, 0.7, 0.995, 0.75, 0.6),
         **candle(0.0, -0.3, 1.05, 0.8, 0.985, 0.75),
         **candle(0.85, 0.1, 0.5, 0.7, 0.8, 0.995),
+    }
+
+
+# ---------------------------------------------------------------- subsurface
+
+
+def subsurface_scene() -> dict[str, Any]:
+    """Four balls, 1 cm wide, with a lamp beside and behind them; the scene's unit is 5 mm."""
+    bodies = [
+        djpt.subsurface(material="whole_milk", scale=0.2, roughness=0.1),
+        djpt.subsurface(material="marble", scale=0.2, roughness=0.15),
+        djpt.subsurface(material="skin_1", scale=0.2),
+        djpt.subsurface([0.9, 0.62, 0.3], [1.0, 0.5, 0.25], scale=0.2),
+    ]
+    scene = seen([0, 2.6, 12.0], [0, 0.75, 0], 40, 256)
+    scene["sensor"]["film"].update(width=448, height=140)
+    return {
+        **scene,
+        "sky": {"type": "constant", "radiance": colour(0.25, 0.28, 0.34)},
+        "lamp": lamp([6, 6, -3], [0, 1, 0], 2.2, 16, 15, 13),
+        "table": ground(-0.01, 0.3, 0.27, 0.25),
+        **{
+            f"ball_{k}": {"type": "sphere", "center": [2.3 * k - 3.45, 1.0, 0.0], **body}
+            for k, body in enumerate(bodies)
+        },
     }

@@ -9,7 +9,7 @@ import pytest
 
 import djpt
 from djpt.errors import SceneError
-from djpt.media.translucent import albedo_of_color
+from djpt.media.translucent import albedo_of_color, boundary_reflectance, reflectance_behind
 from tests.kit.convergence import images
 from tests.kit.media_scenes import colour, fog, lit_ball
 
@@ -90,9 +90,85 @@ def test_forward_scattering_is_similar() -> None:
         ({"color": 1.5}, "color"),
         ({"color": 0.5, "radius": 0.0}, "must be positive"),
         ({"radius": 1.0}, "belongs to a 'color'"),
+        ({"material": "cream", "boundary_eta": 1.4}, "belongs to a 'color'"),
+        ({"color": 0.5, "boundary_eta": 0.9}, "boundary_eta"),
     ],
     ids=str,
 )
 def test_what_is_refused(keys: dict[str, Any], problem: str) -> None:
     with pytest.raises(SceneError, match=problem):
         values(**keys)
+
+
+# ---------------------------------------------------------------- behind a boundary
+
+
+@pytest.mark.parametrize("eta", [1.0, 1.001, 1.33, 1.5, 2.4])
+def test_reflectance_of_a_boundary(eta: float) -> None:
+    """The closed form is the integral of Fresnel's reflectance, from either side."""
+    x, weight = np.polynomial.legendre.leggauss(2000)
+    for n in (eta, 1 / eta):
+        cos, w = (x + 1) / 2, weight / 2
+        inside = np.sqrt(np.maximum(1 - (1 - cos**2) / n**2, 0))
+        s, p = (cos - n * inside) / (cos + n * inside), (inside - n * cos) / (inside + n * cos)
+        integral = float((w * cos * (s**2 + p**2)).sum())
+        closed = boundary_reflectance(eta) if n >= 1 else 1 - (1 - boundary_reflectance(eta)) / eta**2
+        assert closed == pytest.approx(integral, abs=2e-4)
+
+
+def test_reflectance_behind_a_boundary() -> None:
+    """White and black matter are that behind any boundary; else the series of reflections gives the colour again."""
+    np.testing.assert_allclose(reflectance_behind([0.0, 1.0], 1.5), [0, 1])
+    np.testing.assert_allclose(reflectance_behind([0.3, 0.8], 1.0), [0.3, 0.8])
+    inside = 1 - (1 - boundary_reflectance(1.5)) / 2.25
+    r = reflectance_behind(0.6, 1.5)
+    assert sum((1 - inside) * r * (inside * r) ** k for k in range(60)) == pytest.approx(0.6, abs=1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("eta", [1.0, 1.4])
+def test_body_has_the_color_behind_a_boundary(eta: float) -> None:
+    """The whole light of a large ball under a white sky: what its boundary reflects, and the colour of the rest."""
+    color = [0.85, 0.5, 0.2]
+    bsdf = {"type": "null"} if eta == 1 else {"type": "dielectric", "int_ior": eta, "ext_ior": 1.0}
+    medium = {"type": "homogeneous", "color": colour(*color), "radius": 0.02, "boundary_eta": eta}
+    scene = {
+        "type": "scene",
+        "integrator": {"type": "volpathmis", "max_depth": 2000, "rr_depth": 2000},
+        "sky": {"type": "constant"},
+        "ball": {"type": "sphere", "bsdf": bsdf, "interior": medium},
+        "sensor": {
+            "type": "orthographic",
+            "to_world": djpt.ScalarTransform4f().look_at(origin=[0, 0, 6], target=[0, 0, 0], up=[0, 1, 0]),
+            "film": {"type": "hdrfilm", "width": 32, "height": 32, "rfilter": {"type": "box"}},
+        },
+    }
+    mean = np.array(djpt.render(djpt.load_dict(scene), spp=128)).mean((0, 1))
+    ball = 1 - (1 - mean) / (np.pi / 4)
+    reflected = boundary_reflectance(eta)
+    np.testing.assert_allclose((ball - reflected) / (1 - reflected), color, atol=0.05)
+
+
+def test_subsurface() -> None:
+    """A body is described by a colour and a radius, or by a material; what is fixed can't be given."""
+    body = djpt.subsurface([0.8, 0.5, 0.3], [1.0, 0.3, 0.1], scale=0.05, clearcoat=0.5)
+    assert body["bsdf"]["clearcoat"] == 0.5 and body["bsdf"]["spec_trans"] == 1
+    medium = djpt.load_dict(body["interior"])
+    np.testing.assert_allclose(np.array(medium.sigma_t.eval(None)).ravel(), [1, 1 / 0.3, 10], rtol=1e-5)
+    assert medium.scale[0] == pytest.approx(20)
+    expected = albedo_of_color(reflectance_behind([0.8, 0.5, 0.3], 1.4))
+    np.testing.assert_allclose(np.array(medium.albedo.eval(None)).ravel(), expected, rtol=1e-5)
+    skin = djpt.load_dict(djpt.subsurface(material="skin_1", scale=0.1)["interior"])
+    np.testing.assert_allclose(np.array(skin.sigma_t.eval(None)).ravel(), [0.772, 1.05, 1.49], rtol=1e-4)
+    assert skin.scale[0] == pytest.approx(10)
+    with pytest.raises(SceneError, match="'spec_trans' is fixed"):
+        djpt.subsurface(0.5, spec_trans=0.5)
+
+
+def test_subsurface_is_white_in_a_furnace() -> None:
+    """Behind a smooth boundary, matter of the colour 1 can't be seen under a white sky."""
+    scene = lit_ball(fog(1.0, 1.0))
+    name = next(key for key, value in scene.items() if isinstance(value, dict) and "interior" in value)
+    scene[name] |= djpt.subsurface(1.0, 0.2, roughness=0.05)
+    image = np.stack(images(scene, {"type": "volpath", "max_depth": 1000, "rr_depth": 1000}, 64))
+    assert image[:, 6:10, 6:10].mean() == pytest.approx(1, abs=0.03)
