@@ -25,7 +25,6 @@ __all__ = [
     "known_derivative_or",
     "known_or",
     "linearising",
-    "serves_often",
 ]
 
 Images = dict[str, TensorXf]
@@ -116,11 +115,6 @@ def images_linearised() -> Iterator[Linearised]:
         yield derivatives
     finally:
         _jacobians.pop()
-
-
-def serves_often() -> bool:
-    """Whether what is found of an image's derivative will serve more than once."""
-    return bool(_jacobians)
 
 
 def linearising() -> bool:

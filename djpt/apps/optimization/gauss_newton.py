@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from djpt.errors import RenderError
 
-__all__ = ["RATE", "RISEN", "Curvatures", "GaussNewton", "majorant"]
+__all__ = ["RATE", "Curvatures", "GaussNewton", "majorant"]
 
 Doubles = npt.NDArray[np.float64]
 Residual = Callable[[Mapping[str, Any]], Any]

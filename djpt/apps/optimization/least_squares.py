@@ -101,7 +101,7 @@ LEAST_WEIGHT = 0.1
 SMALL = 1e-3
 """The length of a vector of the basis, relative to the slope's, below which the space holds all that matters."""
 
-FELL = 0.8
+FELL = 0.9
 """The ratio of a loss to the one before above which twice as many images are averaged: their noise hides what falls."""
 
 

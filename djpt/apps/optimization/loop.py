@@ -16,7 +16,7 @@ import drjit.opt
 import numpy as np
 import numpy.typing as npt
 
-from djpt.apps.optimization.gauss_newton import RATE, RISEN, Curvatures, GaussNewton, majorant
+from djpt.apps.optimization.gauss_newton import RATE, Curvatures, GaussNewton, majorant
 from djpt.apps.optimization.live import LiveSearch, Progressed
 from djpt.apps.optimization.losses import Loss, Prior, curvature_of, loss_of, prior_of, residual_of
 from djpt.apps.optimization.variables import Variable, usual_bounds
@@ -32,6 +32,9 @@ from djpt.scene.scene import Scene, find_sensor
 __all__ = ["Optimization", "optimize", "order"]
 
 Doubles = npt.NDArray[np.float64]
+
+RISEN = 2.0
+"""The ratio of a loss to the lowest one of its views above which the last step is taken back: less may be noise."""
 
 GROWN = 1.5
 """The ratio of the gradient's change to what the curvature allows above which the curvature is remeasured."""

@@ -18,7 +18,7 @@ from djpt.rendering.gradients.derivatives import (
     attached_image,
 )
 from djpt.rendering.gradients.leaves import Parameter
-from djpt.rendering.known_images import known_derivative_or, known_or, serves_often
+from djpt.rendering.known_images import known_derivative_or, known_or
 from djpt.rendering.schedules.base import Schedule
 from djpt.rendering.schedules.choice import choose
 from djpt.rendering.schedules.job import Job, image_channels
@@ -41,7 +41,7 @@ def differentiable(
     Raises:
         RenderError: The integrator, as it is set up, can't be differentiated.
     """
-    spp = settings.spp_grad or (samples_of_jacobian(job) if serves_often() else job.spp)
+    spp = settings.spp_grad or job.spp
     samples = replace(job, seed=settings.gradient_seed, spp=spp, progress=None, pass_spp=0, interruption=None)
     derivative = known_derivative_or(settings, derivative_of(samples, schedule, parameters))
 
@@ -50,14 +50,6 @@ def differentiable(
             return known_or(settings, lambda: schedule.image(job))
 
     return attached_image(parameters, unused, primal, derivative)
-
-
-def samples_of_jacobian(job: Job) -> int:
-    """The samples per pixel of a Jacobian, by default half of those of the image.
-
-    Its noise is multiplied by residuals, which are small where that of the image matters.
-    """
-    return int(job.sampler.round_count(max(1, job.spp // 2)))
 
 
 def derivative_of(samples: Job, schedule: Schedule, parameters: list[Parameter]) -> Derivative:
