@@ -38,7 +38,7 @@ def candles() -> None:
 
 def subsurface() -> None:
     """Milk, marble, skin, and what has the colour of wax."""
-    draw("subsurface", subsurface_scene(), 512)
+    draw("subsurface", subsurface_scene(), 2048)
 
 
 def draw(name: str, scene: dict[str, Any], spp: int) -> None:
