@@ -150,6 +150,11 @@ class DirectProjectiveIntegrator(PSIntegrator):
             front = self.shade(scene, sampler, ray, 0, si, active)
         return dr.select(active, Color3f(front), 0), dr.select(active, Color3f(back), 0), active
 
+    def radiance_along(self, scene: Any, ray: Any, si: Any, depth: Any, sampler: Any, active: Bool) -> Color3f:
+        seen = active & (UInt32(depth) == 0)
+        shaded = super().radiance_along(scene, ray, si, 0, sampler, seen)
+        return dr.select(seen, shaded, dr.select(active, si.emitter(scene).eval(si, active & ~seen), 0))
+
     def sample_importance(
         self,
         scene: Any,

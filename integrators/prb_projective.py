@@ -169,10 +169,12 @@ class PathProjectiveIntegrator(PSIntegrator):
                 δL = δL + change
             if dr.hint(backward, mode="scalar"):
                 with dr.resume_grad():
-                    rays = rays.end_before(hit, way_before, dr.grad(previous), active & ~carried)
+                    leads_on = smooth & goes_on
+                    rays = rays.end_before(hit, way_before, dr.grad(previous), active & ~carried & ~leads_on)
+                    rays = rays.keep_rough(way_before, previous, active & ~carried & leads_on)
                     ended = active & carried & ~goes_on
                     rays = rays.end(hit, dr.grad(moved.o), dr.grad(moved.d), ended)
-                    rays = rays.go_on(moved, bs.wo, bs.eta, smooth)
+                    rays = rays.go_on(moved, bs.wo, bs.eta, leads_on, Vector3f(dr.grad(previous)), ~carried)
             active, first = goes_on, first & False
 
         if backward and by_camera:

@@ -5,9 +5,11 @@ of a chain of such surfaces are one continuous function of the first, and of the
 surface the chain ends: of the hit only its position matters to the next vertex, which sees it in another direction.
 
     camera -> mirror -> glass -> glass -> rough       links: (o, d) -> hit -> (o', d')
+    camera -> rough -> mirror -> rough                a rough link: (o, d) -> hit -> direction at the mirror
 
 In forward mode the changes of (o, d) and of the last position are carried from vertex to vertex. In reverse mode the
-links of a chain are kept, and its end differentiates them one by one, from the last to the first.
+links of a chain are kept, and its end differentiates them one by one, from the last to the first. A rough surface is a
+link, too, if a smooth one comes next.
 """
 
 from __future__ import annotations
@@ -19,13 +21,13 @@ from typing import Any
 import drjit as dr
 
 from djpt.core.records import Ray3f, SurfaceInteraction3f
-from djpt.integrators.projective.reattach import mirrored
+from djpt.integrators.projective.reattach import attached_wi, mirrored
 from djpt.jit.types import Bool, Color3f, Float, Point3f, UInt32, Vector3f
 
 __all__ = ["MOST_LINKS", "Chain", "Changes", "carried_rays", "onward_direction"]
 
 MOST_LINKS = 64
-"""The longest chain of smooth surfaces that reverse mode follows."""
+"""The longest chain of surfaces that reverse mode follows."""
 
 Hit = Callable[[Ray3f, Bool, Bool], SurfaceInteraction3f]
 """Finds the attached hits of rays: (rays, active lanes, whether they come from the camera)."""
@@ -79,13 +81,16 @@ class Changes:
 
 @dataclass
 class Link:
-    """A smooth surface of a chain: the ray that arrives there, how it goes on, and the ray's own adjoint."""
+    """A surface of a chain: the ray that arrives there, how it goes on, and the ray's own adjoint."""
 
     o: Point3f
     d: Vector3f
     wo: Vector3f
+    """The direction of the ray onward, in the local frame; of a rough surface the point that is hit."""
     eta: Float
+    """The ratio of the indices of refraction; 0 of a rough surface."""
     adjoint_o: Vector3f
+    """The adjoint of the ray's origin; behind a rough surface, where the ray stays, of the point where it begins."""
     adjoint_d: Vector3f
 
 
@@ -117,23 +122,35 @@ class Chain:
         """The ray and the previous position, with gradients of their own."""
         return Ray3f(leaf(ray.o), leaf(ray.d)), leaf(previous)
 
-    def go_on(self, ray: Ray3f, wo: Vector3f, eta: Float, smooth: Bool) -> Chain:
+    def go_on(self, ray: Ray3f, wo: Vector3f, eta: Float, smooth: Bool, by_p: Vector3f, behind_rough: Bool) -> Chain:
         """Leave the vertex that the attached `ray` hit; where it is `smooth`, it becomes a link.
 
-        Of chains with more than `MOST_LINKS` smooth surfaces the first ones are forgotten, as if the ray behind were
-        fixed.
+        Of chains with more than `MOST_LINKS` surfaces the first ones are forgotten, as if the ray behind were fixed.
+
+        Args:
+            ray: the ray.
+            wo: the direction onward, in the local frame.
+            eta: the ratio of the indices of refraction.
+            smooth: where the chain goes on.
+            by_p: the adjoint of the position of the vertex before.
+            behind_rough: where that is rough.
         """
-        o, d = dr.grad(ray.o), dr.grad(ray.d)
-        full = smooth & (self.count == MOST_LINKS)
+        o, d = Vector3f(dr.grad(ray.o)), Vector3f(dr.grad(ray.d))
+        link = Link(dr.detach(ray.o), dr.detach(ray.d), wo, eta, dr.select(behind_rough, by_p, o), d)
+        chain = self.add(link, smooth)
+        return replace(chain, adjoint_o=o, adjoint_d=d)
+
+    def keep_rough(self, ray: Ray3f, p: Point3f, active: Bool) -> Chain:
+        """Make the vertex before a link, a rough surface that `ray` hit at `p`."""
+        link = Link(ray.o, ray.d, Vector3f(dr.detach(p)), Float(0), self.adjoint_o, self.adjoint_d)
+        return self.add(link, active)
+
+    def add(self, link: Link, active: Bool) -> Chain:
+        """Note a link."""
+        full = active & (self.count == MOST_LINKS)
         count = dr.select(full, 0, self.count)
-        self.links.write(Link(dr.detach(ray.o), dr.detach(ray.d), wo, eta, Vector3f(o), Vector3f(d)), count, smooth)
-        return replace(
-            self,
-            count=dr.select(smooth, count + 1, count),
-            adjoint_o=Vector3f(o),
-            adjoint_d=Vector3f(d),
-            from_camera=self.from_camera & ~full,
-        )
+        self.links.write(link, count, active)
+        return replace(self, count=dr.select(active, count + 1, count), from_camera=self.from_camera & ~full)
 
     def end_before(self, hit: Hit, ray: Ray3f, adjoint: Vector3f, active: Bool) -> Chain:
         """End the chain at the vertex before, a rough surface that `ray` hit, given the adjoint of its position."""
@@ -148,12 +165,17 @@ class Chain:
 
         def body(i: UInt32, o: Vector3f, d: Vector3f, links: Any) -> tuple[UInt32, Vector3f, Vector3f, Any]:
             i = i - 1
-            link = links.read(i)
+            link, before = links.read(i), links.read(dr.maximum(i, 1) - 1)
+            rough, behind_rough = link.eta == 0, (i > 0) & (before.eta == 0)
             with dr.resume_grad():
-                ray = Ray3f(leaf(link.o), leaf(link.d))
+                ray, begin = Ray3f(leaf(link.o), leaf(link.d)), leaf(Point3f(before.wo))
                 si = hit(ray, Bool(True), self.from_camera & (i == 0))
-                back(dr.dot(si.p, Point3f(o)) + dr.dot(onward_direction(si, link.wo, link.eta, Bool(True)), d))
-                return i, link.adjoint_o + dr.grad(ray.o), link.adjoint_d + dr.grad(ray.d), links
+                si.wi = dr.select(behind_rough, attached_wi(si, begin), si.wi)
+                turned = onward_direction(si, link.wo, link.eta, ~rough)
+                back(dr.dot(si.p, Point3f(o)) + dr.dot(turned, dr.select(rough, Vector3f(0), d)))
+                by_o = dr.select(behind_rough, Vector3f(dr.grad(begin)), Vector3f(dr.grad(ray.o)))
+                by_d = dr.select(behind_rough, 0, link.adjoint_d + dr.grad(ray.d))
+                return i, link.adjoint_o + by_o, Vector3f(by_d), links
 
         state = dr.select(active, self.count, 0), Vector3f(adjoint_o), Vector3f(adjoint_d), self.links
         _, o, d, links = dr.while_loop(state, lambda i, *_: i > 0, body, label="links of a chain")

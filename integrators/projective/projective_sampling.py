@@ -6,15 +6,16 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.core.records import DirectionSample3f, Interaction3f, Ray3f, SurfaceInteraction3f
+from djpt.core.records import DirectionSample3f, Interaction3f, Ray3f, RayFlags, SurfaceInteraction3f
 from djpt.description.properties import Properties
 from djpt.films.base import FilmFlags
 from djpt.integrators.ad_integrator import RBIntegrator, attached, modes, propagate
 from djpt.integrators.projective.beams import BeamSides, has_sides
 from djpt.integrators.projective.circles import edge_of_circle
-from djpt.integrators.projective.cuts import cuts_on_film
 from djpt.integrators.projective.detail import ProjectiveDetail
-from djpt.integrators.projective.reattach import delta_lights
+from djpt.integrators.projective.film_edges import FilmEdges
+from djpt.integrators.projective.path_edges import path_edges
+from djpt.integrators.projective.reattach import delta_lights, has_mirrors
 from djpt.integrators.projective.receivers import followed, outlined
 from djpt.integrators.projective.shadows import ShadowEdges
 from djpt.integrators.projective.splat import attached_splat, keep
@@ -24,12 +25,14 @@ from djpt.rendering.gradients.meetings import meeting_pairs
 from djpt.samplers.base import Sampler
 from djpt.scene.scene import Scene, find_sensor
 from djpt.sensors.base import Sensor
+from djpt.shapes.silhouettes.foreground import toward_viewer
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
 __all__ = ["PSIntegrator"]
 
 PRIMARY_SEED, GUIDING_SEED, INDIRECT_SEED = 0xFFFFFFFF, 0xAFAFAFAF, 0xAA00AA00
 SHADOW_SEED, CUT_SEED, LENS_SEED, CIRCLE_SEED = 0x77777777, 0x33333333, 0x55555555, 0x99999999
+LINE_SEED, PATH_SEED = 0xCCCCCCCC, 0x66666666
 """Combined with the seed of the image, for samples of their own."""
 
 MOST_LENS_POINTS = 16
@@ -254,9 +257,16 @@ class PSIntegrator(RBIntegrator):
                     self.proj_detail.init_indirect_silhouette(all_edges, camera, GUIDING_SEED ^ seed)
                     sampler, count = self.prepare(camera, INDIRECT_SEED ^ seed, indirect, self.aov_names())
                 total += self.render_indirect_silhouette(all_edges, camera, sampler, count)
-            if primary and self._surfaces_meet(scene, camera):
+            meetings = self._surfaces_meet(scene, camera)
+            if primary and (meetings or has_mirrors(scene)):
+                edges = FilmEdges(self, scene, camera, meetings)
+                edges.learn(LINE_SEED ^ seed)
                 sampler, _ = self.prepare(camera, CUT_SEED ^ seed, primary, self.aov_names())
-                value, place, found = cuts_on_film(self, scene, camera, sampler)
+                value, place, found = edges.estimate(sampler)
+                total += self._splatted(camera, sampler, place, value, found)
+            if indirect and has_mirrors(scene) and not self.direct_light_only and self.max_depth > 2:
+                sampler, _ = self.prepare(camera, PATH_SEED ^ seed, indirect, self.aov_names())
+                value, place, found = path_edges(self, scene, camera, sampler)
                 total += self._splatted(camera, sampler, place, value, found)
         if primary and camera.has_image_circle and camera.lens_moves():
             sampler, _ = self.prepare(camera, CIRCLE_SEED ^ seed, primary, self.aov_names())
@@ -349,12 +359,14 @@ class PSIntegrator(RBIntegrator):
 
         return attached_splat(Color3f(value) * (width * height / sampler.wavefront_size()), self._shape(sensor), splat)
 
-    def first_hit(self, scene: Scene, ray: Any, active: Bool, from_sensor: Bool | bool = True) -> SurfaceInteraction3f:
+    def first_hit(
+        self, scene: Scene, ray: Any, active: Bool, from_sensor: Bool | bool = True, flags: int = int(RayFlags.All)
+    ) -> SurfaceInteraction3f:
         """The first surface point along rays, which pass through emitters `from_sensor` if these are hidden."""
         if not self.hide_emitters:
-            return scene.ray_intersect(ray, active=active)
+            return scene.ray_intersect(ray, flags, active=active)
         found = scene.closest_hit(dr.detach(ray), active, through_lights=Bool(from_sensor))
-        return scene.surface_interaction_of(found, ray)
+        return scene.surface_interaction_of(found, ray, flags)
 
     def hides(self, scene: Scene, ray: Any, active: Bool | bool) -> Bool:
         """Whether something hides the end of rays from the sensor: with `hide_emitters` no lamps do."""
@@ -368,6 +380,15 @@ class PSIntegrator(RBIntegrator):
         options = modes(dr.ADMode.Primal, scene, sampler, ray)
         rays, active = self.sample(**options, δL=None, δaovs=None, state_in=None, project=True)[3]
         return rays, active
+
+    def radiance_along(
+        self, scene: Scene, ray: Any, si: SurfaceInteraction3f, depth: Any, sampler: Sampler, active: Bool
+    ) -> Color3f:
+        """The radiance along rays that hit `si`, after a number of edges.
+
+        Where the shading normal of an outline points away from the viewer, it is bent until it doesn't.
+        """
+        return dr.select(active, self.shade(scene, sampler, ray, depth, toward_viewer(si, ray.d), active), 0)
 
     def shade(
         self, scene: Scene, sampler: Sampler, ray: Any, depth: Any, si: SurfaceInteraction3f | None, active: Any

@@ -5,15 +5,16 @@ from __future__ import annotations
 import pytest
 
 from djpt.core.transforms import ScalarTransform4f as T
-from tests.silhouettes import camera_cases, cases, light_cases
+from tests.silhouettes import camera_cases, cases, light_cases, mirror_cases
 from tests.silhouettes.cases import INTERIOR, PRB, Case, plate, sky, turn
 
-CASES = cases.CASES | camera_cases.CASES | light_cases.CASES
+CASES = cases.CASES | camera_cases.CASES | light_cases.CASES | mirror_cases.CASES
 
 QUICK = {
     "a camera, turn: a globe": "prb_projective",
     "a ball rises from a floor": "direct_projective",
     "a flat mirror": "prb_projective",
+    "a lamp in a mirror": "direct_projective",
     "the shadow of a ball in the light of a point": "direct_projective",
 }
 """What runs before a commit; all else is slow."""

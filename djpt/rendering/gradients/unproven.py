@@ -22,7 +22,7 @@ from djpt.errors import RenderError
 from djpt.jit.frozen import recording
 from djpt.jit.types import Point2f
 from djpt.rendering.gradients.meetings import meeting_pairs
-from djpt.scene.intersecting_shapes import between, encloses, is_convex, is_sphere
+from djpt.scene.intersecting_shapes import between, encloses, is_convex
 from djpt.sensors.orthographic import Orthographic
 from djpt.sensors.projective import Central, ProjectiveCamera
 from djpt.textures.base import textures_in
@@ -122,18 +122,35 @@ def of_lobes(rendering: Rendering, kind: int) -> Iterator[str]:
             yield f"'{shape.id()}' has the BSDF {named(bsdf)}"
 
 
-def reflections(rendering: Rendering) -> Iterator[str]:
-    """Smooth surfaces, unless there is nothing else: a single convex shape doesn't see itself."""
+def shadows_in_mirrors(rendering: Rendering) -> Iterator[str]:
+    """Smooth surfaces, and others that light passes straight through, that may show shadows in the light of points."""
+    if rendering.movers() and not alone(rendering) and not direct_light_only(rendering.integrator):
+        for emitter in rendering.emitters(EmitterFlags.Delta):
+            if not emitter.on_shape:
+                for phrase in of_lobes(rendering, BSDFFlags.Delta):
+                    yield f"{phrase}, {named(emitter)} shines"
+
+
+def bent_mirrors(rendering: Rendering) -> Iterator[str]:
+    """Meshes with interpolated normals that mirror or refract."""
+    for shape, bsdf in rendering.bsdfs() if rendering.movers() else ():
+        kinds = BSDFFlags.DeltaReflection | BSDFFlags.DeltaTransmission
+        if shape.of_triangles and shape.has_vertex_normals() and has_flag(bsdf.flags(), kinds):
+            yield f"'{shape.id()}' has the BSDF {named(bsdf)}"
+
+
+TOLD_APART = {"sphere", "disk", "rectangle", "cylinder", "cone", "paraboloid", "cube", "cuboid", "plane"}
+"""The shapes, meshes aside, of which no part stands before another one that is seen from the same side."""
+
+
+def bodies_in_mirrors(rendering: Rendering) -> Iterator[str]:
+    """Shapes that may stand before themselves, and smooth surfaces in which they may be seen to do so."""
     if rendering.movers() and not alone(rendering):
-        yield from of_lobes(rendering, BSDFFlags.DeltaReflection | BSDFFlags.DeltaTransmission)
-
-
-def layers(rendering: Rendering) -> Iterator[str]:
-    """Surfaces that light passes straight through, unless there is nothing but a ball or a plane one."""
-    if rendering.movers() and not (
-        alone(rendering) and (is_sphere(rendering.seen[0]) or rendering.seen[0].plane() is not None)
-    ):
-        yield from of_lobes(rendering, BSDFFlags.Null)
+        for phrase in of_lobes(rendering, BSDFFlags.Delta):
+            for shape in rendering.scene.geometry.contents.shapes:
+                kind = name_of(type(shape)) or ""
+                if not shape.of_triangles and kind not in TOLD_APART and kind not in ("instance", "shapegroup"):
+                    yield f"'{shape.id()}' is of the type '{kind}', {phrase}"
 
 
 def bent_normals(rendering: Rendering) -> Iterator[str]:
@@ -308,16 +325,23 @@ CASES: tuple[Case, ...] = (
         without_silhouettes,
     ),
     Case(
-        "smooth mirrors, glass and plastic, unless one convex shape is all",
-        "the outlines of what is seen in them or through them aren't followed",
-        "use a rough material",
-        reflections,
+        "smooth mirrors, glass, plastic and `mask`, in the light of points and parallel light, if paths have more than "
+        "two edges; unless one convex shape is all",
+        "the edges of shadows aren't followed that are seen in them or through them",
+        "use a small area light or a rough material, or set 'max_depth' to 2",
+        shadows_in_mirrors,
     ),
     Case(
-        "`mask`, `null` and other surfaces that light passes straight through, unless one ball or plane shape is all",
-        "the outlines of what is seen through them aren't followed",
-        "use an opaque material",
-        layers,
+        "smooth mirrors, glass and plastic that are meshes with interpolated normals",
+        "the edges at which rays leave its triangles on the wrong side aren't followed",
+        "give the mesh 'face_normals', or use a rough material",
+        bent_mirrors,
+    ),
+    Case(
+        "smooth mirrors, glass, plastic and `mask` beside a `torus`, a curve or an implicit surface",
+        "its parts aren't told apart that hide each other in what smooth surfaces show",
+        "use a mesh",
+        bodies_in_mirrors,
     ),
     Case(
         "a normal map or a bump map on a shape that moves",

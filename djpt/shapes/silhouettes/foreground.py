@@ -8,10 +8,10 @@ import drjit as dr
 
 from djpt.core.frame import Frame3f
 from djpt.core.records import RAY_EPSILON, Ray3f, RayFlags, SurfaceInteraction3f
-from djpt.jit.types import Bool, Normal3f, Point3f
+from djpt.jit.types import Bool, Float, Normal3f, Point3f, Vector3f
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
-__all__ = ["foreground"]
+__all__ = ["foreground", "toward_viewer"]
 
 LEAST_COSINE = 1e-5
 """The least cosine of a viewer's direction with a shading normal that is bent towards it."""
@@ -46,11 +46,23 @@ def foreground(
     for number, shape in enumerate(shapes):
         on_shape |= (ss.scene_index == number) & (si.shape == shape)
 
-    shading = si.sh_frame.n
-    side = dr.select(dr.dot(si.n, toward) > 0, 1.0, -1.0)
-    cosine = side * dr.dot(shading, ss.d)
-    bent = dr.normalize(shading - side * (cosine + LEAST_COSINE) * ss.d)
-    away = cosine > -LEAST_COSINE
-    si.sh_frame = dr.select(away, Frame3f.from_normal(bent), si.sh_frame)
+    side = dr.select(dr.dot(si.n, toward) > 0, Float(1), -1)
+    si.sh_frame = bent_frame(si, ss.d, side)
     si.wi = si.sh_frame.to_local(-ss.d)
     return si, found & on_shape
+
+
+def toward_viewer(si: SurfaceInteraction3f, d: Vector3f) -> SurfaceInteraction3f:
+    """Surface points that are seen along `d`; where the shading normal points away, it is bent until it doesn't."""
+    frame = bent_frame(si, d, dr.select(dr.dot(si.n, d) < 0, Float(1), -1))
+    return si.replaced(sh_frame=frame, wi=dr.select(si.is_valid(), frame.to_local(-d), si.wi))
+
+
+def bent_frame(si: SurfaceInteraction3f, d: Vector3f, side: Float) -> Frame3f:
+    """The shading frame, bent towards a viewer who looks along `d` at one `side`, 1 or -1, if it points away."""
+    shading = si.sh_frame.n
+    cosine = side * dr.dot(shading, d)
+    bent = dr.normalize(shading - side * (cosine + LEAST_COSINE) * d)
+    away = cosine > -LEAST_COSINE
+    found: Frame3f = dr.select(away, Frame3f.from_normal(bent), si.sh_frame)
+    return found

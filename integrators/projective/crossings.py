@@ -1,0 +1,322 @@
+"""Edges that random lines cross: the boundary term of curves that aren't known in advance.
+
+A line of the length h that lies at random on an area A meets a curve with the density 2 h / (pi A) per length of it
+(Crofton). Where two places on the line show different surfaces, bisection finds the point between. There are two kinds:
+
+    one surface hides the other:    g = <n, o + t d - y>,    y: the point of the front, n: across its edge and the ray
+    two surfaces meet:              g = t_a - t_b,           the distances along the ray to their tangent planes
+
+The curve is g = 0, and moves across itself with the speed -(dg / dtheta) / abs(grad g).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+
+from djpt.core.records import Ray3f, SurfaceInteraction3f
+from djpt.integrators.projective.smooth_chains import Chains, side_of
+from djpt.integrators.projective.splat import keep
+from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point3f, UInt32, Vector2f
+
+__all__ = ["Line", "Lines", "edges_on_lines"]
+
+BISECTIONS = 12
+CLOSE = 1e-3
+"""How far apart two surfaces may be where they meet, relative to 1 + the largest coordinate."""
+BESIDE = 1 / 16
+"""How far beside a crossing the direction of an edge is looked for, as a fraction of the reach along the line."""
+NARROWER, LEVELS = 1 / 8, 4
+"""The ratio of such reaches, and how many are tried; the first is a part of a line."""
+
+Line = Callable[[Float, Float], Ray3f]
+"""The rays at places along a line and beside it, in one unit."""
+
+
+@dataclass(frozen=True)
+class Lines:
+    """Random lines.
+
+    Args:
+        rays: the rays at places: those along the lines are between 0 and `length`.
+        length: their length h.
+        parts: how many parts of a line are looked at: edges closer to each other than one may be missed in pairs.
+        bits: the turns of the chains of smooth surfaces that the rays take.
+        depth: the number of edges before the rays begin.
+        meetings: whether curves count in which the surfaces meet that the rays hit first.
+        outlines: where outlines count of what they hit first.
+        start: the points where the rays begin, attached, if they are those of rough surfaces: what these look at stays.
+    """
+
+    rays: Line
+    length: float
+    parts: int
+    bits: UInt32
+    depth: Any
+    meetings: bool = True
+    outlines: Bool | bool = False
+    start: Point3f | None = None
+
+
+def edges_on_lines(
+    integrator: Any, chains: Chains, lines: Lines, sampler: Any, active: Bool, weight: Callable[[Float], Color3f]
+) -> tuple[Color3f, Float, Float]:
+    """The derivative by random points of edges, attached; that for an edge of the speed 1; and the places on the lines.
+
+    Args:
+        integrator: the integrator.
+        chains: the chains of smooth surfaces of the scene.
+        lines: the lines.
+        sampler: random numbers.
+        active: the lanes that matter.
+        weight: the factors of edges at places on the lines.
+    """
+    with dr.suspend_grad():
+        low, high, times, apart = crossing(chains, lines, sampler, active)
+        link, (ray_a, weight_a), (ray_b, weight_b) = chains.parting(
+            lines.rays(low, Float(0)), lines.rays(high, Float(0)), lines.bits, apart
+        )
+        a, b = (chains.hit(ray, link, apart) for ray in (ray_a, ray_b))
+        size = CLOSE * (1 + dr.maximum(largest(a), largest(b)))
+        gap = a.p - b.p
+        meet = a.is_valid() & b.is_valid()
+        meet &= (dr.abs(dr.dot(a.n, gap)) < size) & (dr.abs(dr.dot(b.n, gap)) < size)
+        # An edge within a shape sticks to it, like its outline.
+        meet &= a.shape_index != b.shape_index
+        counts = apart & (chains.surface(a) != chains.surface(b))
+        counts &= (link > 0) | (meet & lines.meetings) | lines.outlines
+        counts &= lines.depth + link < dr.opaque(UInt32, integrator.max_depth)
+        front_first = a.is_valid() & (~b.is_valid() | (a.t <= b.t))
+        front, ray = dr.select(front_first, a, b), dr.select(front_first, ray_a, ray_b)
+        hidden = counts & ~meet
+        across = edge_direction(chains, lines, link, 0.5 * (low + high), a, b, ray, front.t, hidden)
+        counts &= meet | (dr.squared_norm(across) > 0)
+        depth = lines.depth + link
+        # The same random numbers on both sides: where they look alike, the difference vanishes.
+        again = sampler.clone()
+        here = weight_a * integrator.radiance_along(chains.scene, ray_a, a, depth, again, counts)
+        there = weight_b * integrator.radiance_along(chains.scene, ray_b, b, depth, sampler, counts)
+        place = dr.select(front_first, low, high)
+        factor = weight(place) * (times * (0.5 * math.pi / lines.length))
+        here, there = here * factor, there * factor
+        keep(place, link, counts, here, there, across, meet, a.p, b.p, a.n, b.n)
+    edge = Edge(chains, lines, place, link, meet, across, front_first, (a, ray_a), (b, ray_b), counts)
+    slope = edge.slope()
+    length = dr.norm(slope)
+    moves = counts & (length > 0) & dr.isfinite(length)
+    across_line = dr.select(moves, -dr.sign(slope.x) / length, 0)
+    change, behind = edge.change()
+    value = Color3f(here - there) * change + dr.select(front_first, -Color3f(there), Color3f(here)) * behind
+    mass = dr.select(moves, dr.max(dr.abs(here - there)) / length, 0)
+    return value * across_line, mass, place
+
+
+@dataclass(frozen=True)
+class Edge:
+    """Points of edges: the function g whose zeros they are."""
+
+    chains: Chains
+    lines: Lines
+    place: Float
+    """The places on the lines."""
+    link: UInt32
+    """The number of the ray that touches the edge."""
+    meet: Bool
+    """Whether two surfaces meet; else one hides the other, or both are parts of one."""
+    across: Normal3f
+    """The direction across the edge and the ray."""
+    first_in_front: Bool
+    first: tuple[SurfaceInteraction3f, Ray3f]
+    """The surface on this side, and the ray that hits it."""
+    second: tuple[SurfaceInteraction3f, Ray3f]
+    """The surface on the other side."""
+    active: Bool
+
+    def value(self, ray: Ray3f, p: Point3f, q: Point3f) -> Float:
+        """The value of g, given the ray and the points of both surfaces."""
+        normals = [Normal3f(dr.detach(si.n)) for si, _ in (self.first, self.second)]
+        o, d = ray.o, ray.d
+        t, u = (
+            dr.dot(n, point - o) / dr.select(self.meet, dr.dot(n, d), Float(1))
+            for n, point in zip(normals, (p, q), strict=True)
+        )
+        y = dr.select(self.first_in_front, p, q)
+        along = dr.dot(dr.detach(y - o), dr.detach(d))
+        return dr.select(self.meet, t - u, dr.dot(self.across, dr.fma(d, along, o) - y))
+
+    def slope(self) -> Vector2f:
+        """The gradient of g, along the line and beside it."""
+        slopes = []
+        with dr.resume_grad():
+            for direction in (Vector2f(1, 0), Vector2f(0, 1)):
+                offset = Float(0)
+                dr.enable_grad(offset)
+                ray = self.lines.rays(self.place + direction.x * offset, direction.y * offset)
+                moved = self.chains.attached(ray, self.lines.bits, self.link, self.active)
+                g = self.value(moved, *(Point3f(dr.detach(si.p)) for si, _ in (self.first, self.second)))
+                dr.forward_from(offset, flags=dr.ADFlag.ClearEdges)
+                slopes.append(dr.grad(g))
+        return Vector2f(*slopes)
+
+    def change(self) -> tuple[Float, Float]:
+        """The change of g at a fixed place, and what it is more for the surface behind: 0, attached to what moves."""
+        first = self.lines.rays(self.place, Float(0))
+        ray = self.chains.attached(first, self.lines.bits, self.link, self.active, self.lines.start)
+        points = [self.chains.stuck(r, self.link, self.active & si.is_valid()) for si, r in (self.first, self.second)]
+        g = self.value(ray, *points)
+        behind = Float(0)
+        if self.lines.start is not None:
+            # The line from the moving start to a fixed point behind.
+            distances = [dr.detach(si.t) for si, _ in (self.first, self.second)]
+            front, back = (dr.select(self.first_in_front ^ swap, *distances) for swap in (False, True))
+            hidden = self.active & (self.link == 0) & ~self.meet
+            share = dr.select(dr.isfinite(back), 1 - front / back, 1)
+            moved = self.lines.start - dr.detach(self.lines.start)
+            behind = dr.select(hidden, dr.dot(self.across, moved) * share, 0)
+        return dr.select(self.active, g - dr.detach(g), 0), behind
+
+
+def largest(si: SurfaceInteraction3f) -> Float:
+    """The largest coordinate of a hit; 0 without one."""
+    return Float(dr.select(si.is_valid(), dr.max(dr.abs(si.p)), 0))
+
+
+def crossing(chains: Chains, lines: Lines, sampler: Any, active: Bool) -> tuple[Float, Float, Float, Bool]:
+    """The places just before and after a point at which the surfaces change, its weight, and where there is one.
+
+    One of the parts of a line with different surfaces at their ends is chosen, and divided in halves. Between three
+    surfaces there are two changes, of which one is chosen.
+    """
+
+    def look(place: Float, active: Bool) -> UInt32:
+        return chains.follow(lines.rays(place, Float(0)), lines.bits, active)
+
+    lanes, part = dr.width(lines.bits), lines.length / lines.parts
+    zero = dr.zeros(Float, lanes)
+
+    def walk(k: UInt32, before: UInt32, first: UInt32, last: UInt32, low: Float, count: Float, chance: Float) -> Any:
+        found = look(Float(k) * part, active)
+        changed = found != before
+        count = dr.select(changed, count + 1, count)
+        threshold = dr.rcp(dr.maximum(count, 1))
+        chosen = changed & (chance * dr.maximum(count, 1) <= 1)
+        chance = dr.select(
+            changed & (count > 1),
+            dr.select(chosen, chance / threshold, (chance - threshold) / (1 - threshold)),
+            chance,
+        )
+        return (
+            k + 1,
+            found,
+            dr.select(chosen, before, first),
+            dr.select(chosen, found, last),
+            dr.select(chosen, Float(k - 1) * part, low),
+            count,
+            chance,
+        )
+
+    begin = look(zero, active)
+    one = dr.full(UInt32, 1, lanes)
+    state = one, begin, begin, begin, zero, zero, sampler.next_1d() + zero
+    end = dr.opaque(UInt32, lines.parts)
+    _, _, first, last, low, count, chance = dr.while_loop(
+        state, lambda k, *_: active & (k <= end), walk, label="parts of lines"
+    )
+    apart = active & (count > 0)
+
+    def halve(k: UInt32, low: Float, high: Float, first: UInt32, last: UInt32, chance: Float, times: Float) -> Any:
+        middle = 0.5 * (low + high)
+        found = look(middle, apart)
+        third = (found != first) & (found != last)
+        chance = dr.select(third, 2 * chance, chance)
+        ahead = (found == first) | (third & (chance >= 1))
+        chance = dr.select(third & (chance >= 1), chance - 1, chance)
+        return (
+            k + 1,
+            dr.select(ahead, middle, low),
+            dr.select(ahead, high, middle),
+            dr.select(ahead, found, first),
+            dr.select(ahead, last, found),
+            chance,
+            dr.select(third, 2 * times, times),
+        )
+
+    start = dr.zeros(UInt32, lanes), low, low + part, first, last, chance, count
+    _, low, high, _, _, _, times = dr.while_loop(
+        start, lambda k, *_: apart & (k < BISECTIONS), halve, label="bisection"
+    )
+    return low, high, times, apart
+
+
+def edge_direction(
+    chains: Chains,
+    lines: Lines,
+    link: UInt32,
+    middle: Float,
+    a: SurfaceInteraction3f,
+    b: SurfaceInteraction3f,
+    ray: Ray3f,
+    t: Float,
+    active: Bool,
+) -> Normal3f:
+    """The unit vector across an edge and the ray that touches it: 0 where it isn't found.
+
+    A second crossing, a little beside the first one, shows in which direction the edge goes on.
+    """
+    same = a.is_valid() & b.is_valid() & (a.shape_index == b.shape_index)
+    touch = same & (dr.norm(a.p - b.p) < CLOSE * (1 + largest(a)))
+
+    def side(place: Float, beside: Float, active: Bool) -> tuple[Bool, Bool]:
+        """Whether a chain arrives at the surface on this side of the edge, or on the other side."""
+        si = chains.arrive(lines.rays(place, beside), lines.bits, link, active)
+        nearer = dr.squared_norm(si.p - a.p) < dr.squared_norm(si.p - b.p)
+        first = dr.select(same, si.is_valid() & nearer, side_of(si) == side_of(a))
+        number = chains.surface(si)
+        first = dr.select(touch, number == chains.surface(a), first)
+        return first, dr.select(touch, number == chains.surface(b), ~first)
+
+    # What is seen there may be narrow: of some steps the largest is taken that reaches beyond the edge alone.
+    def narrow(level: UInt32, reach: Float, found: Bool) -> Any:
+        reach = reach * NARROWER
+        there = side(middle - reach, BESIDE * reach, active)[0] & side(middle + reach, BESIDE * reach, active)[1]
+        return level + 1, reach, there
+
+    lanes = dr.width(lines.bits)
+    _, reach, found = dr.while_loop(
+        (
+            dr.zeros(UInt32, lanes),
+            dr.full(Float, lines.length / lines.parts / NARROWER, lanes),
+            dr.full(Bool, False, lanes),
+        ),
+        lambda level, _, found: active & ~found & (level < LEVELS),
+        narrow,
+        label="width of edges",
+    )
+    beside = BESIDE * reach
+
+    def halve(k: UInt32, start: Float, end: Float) -> Any:
+        half = 0.5 * (start + end)
+        ahead, _ = side(half, beside, found)
+        return k + 1, dr.select(ahead, half, start), dr.select(ahead, end, half)
+
+    _, start, end = dr.while_loop(
+        (dr.zeros(UInt32, lanes), middle - reach, middle + reach),
+        lambda k, *_: found & (k < BISECTIONS),
+        halve,
+        label="direction of edges",
+    )
+    along = dr.normalize(Vector2f(0.5 * (start + end) - middle, beside))
+    # How the point of the ray moves along the edge.
+    with dr.resume_grad():
+        step = Float(0)
+        dr.enable_grad(step)
+        moved = chains.attached(lines.rays(dr.fma(along.x, step, middle), along.y * step), lines.bits, link, found)
+        dr.forward_from(step, flags=dr.ADFlag.ClearEdges)
+        o, d = dr.grad(moved.o), dr.grad(moved.d)
+    across = dr.cross(ray.d, dr.fma(d, t, o))
+    size = dr.norm(across)
+    return Normal3f(dr.select(found & (size > 0), across / size, 0))

@@ -1,0 +1,161 @@
+"""What mirrors, glass and masks show of shapes and cameras that move: cases that central differences check."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+import djpt
+from djpt.core.transforms import ScalarTransform4f as T
+from tests.silhouettes.cases import FLOOR, Case, ball, plate, sensor, shift, sky, slide, turn
+
+MIRROR = {"type": "conductor"}
+GLASS = {"type": "dielectric"}
+PAPER = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.8, 0.5, 0.3]}}
+SKY = {"type": "constant", "radiance": 0.8}
+LAMP = {"type": "sphere", "center": [2, 2, 5], "radius": 1.0, "emitter": {"type": "area", "radiance": 10.0}}
+PRB = ("prb_projective",)
+
+
+def ring() -> Any:
+    """A smooth mesh of a torus, which hides itself in part."""
+    u, v = np.meshgrid(np.arange(24) / 24, np.arange(12) / 12, indexing="ij")
+    x, y = np.cos(2 * np.pi * u), np.sin(2 * np.pi * u)
+    c, s = np.cos(2 * np.pi * v), np.sin(2 * np.pi * v)
+    normals = np.stack([x * c, y * c, s], -1).reshape(-1, 3)
+    points = np.stack([x * (0.6 + 0.25 * c), y * (0.6 + 0.25 * c), 0.25 * s], -1).reshape(-1, 3)
+    points = points @ np.array([[1, 0, 0], [0, 0.5, 0.866], [0, -0.866, 0.5]]) + [0, 0, 1.5]
+    normals = normals @ np.array([[1, 0, 0], [0, 0.5, 0.866], [0, -0.866, 0.5]])
+    i, j = np.meshgrid(np.arange(24), np.arange(12), indexing="ij")
+    a, b = i * 12 + j, (i + 1) % 24 * 12 + j
+    c, d = i * 12 + (j + 1) % 12, (i + 1) % 24 * 12 + (j + 1) % 12
+    faces = np.stack([a, b, d, a, d, c], -1).reshape(-1, 3)
+    return djpt.Mesh("moving", points.astype(np.float32), faces, normals, props={"bsdf": PAPER})
+
+
+CASES: dict[str, Case] = {
+    "a lamp in a mirror": Case(
+        lambda: {
+            "moving": {
+                "type": "disk",
+                "to_world": T().translate([0.3, 0.2, 3]).rotate([1, 0, 0], 180),
+                "emitter": {"type": "area", "radiance": 2.0},
+            },
+            "mirror": plate(MIRROR),
+            "sensor": sensor((-3, -1, 5)),
+        },
+        shift("moving.to_world"),
+        step=0.02,
+    ),
+    "a ball in a round mirror": Case(
+        lambda: {
+            "moving": ball(PAPER, center=[0.9, 0, 0], radius=0.7),
+            "mirror": ball(MIRROR, center=[-0.8, 0, 0], radius=0.9),
+            "sky": sky(),
+        },
+        shift("moving.to_world"),
+        PRB,
+        depth=3,
+    ),
+    "a mirror that turns before a box": Case(
+        lambda: {
+            "moving": {**plate(MIRROR), "to_world": T().rotate([0, 1, 0], 10).scale(4)},
+            "box": {
+                "type": "cube",
+                "bsdf": PAPER,
+                "to_world": T().translate([0, 0, 1.5]).rotate([0.6, 0.8, 0], 40).scale(0.6),
+            },
+            "sky": sky(),
+            "sensor": sensor((-3, -1, 5)),
+        },
+        turn("moving.to_world", 10),
+        PRB,
+        depth=3,
+        step=0.02,
+        spp=512,
+    ),
+    "a ring in a mirror": Case(
+        lambda: {"moving": ring(), "mirror": plate(MIRROR), "sky": sky(), "sensor": sensor((-3, -1, 5))},
+        slide,
+        PRB,
+        depth=3,
+    ),
+    "a shadow in a mirror": Case(
+        lambda: {
+            "moving": ball(PAPER, center=[0.5, 0.3, 1], radius=0.7),
+            "floor": {**FLOOR, "to_world": T().translate([0, 0, -1]).scale(4)},
+            "mirror": {
+                "type": "rectangle",
+                "bsdf": MIRROR,
+                "to_world": T().translate([0, 0, 6.5]).rotate([1, 0, 0], 180).scale(9),
+            },
+            "lamp": LAMP,
+            "sensor": {**sensor(), "to_world": T().look_at([-3, 0, 2.5], [-1, 0, 6.5], [0, 1, 0])},
+        },
+        shift("moving.to_world"),
+        PRB,
+        depth=3,
+    ),
+    "a ball behind a ball of glass": Case(
+        lambda: {
+            "moving": ball(PAPER, center=[0.4, 0, -1.5], radius=0.6),
+            "glass": ball(GLASS, center=[0, 0, 1]),
+            "sky": sky(),
+        },
+        shift("moving.to_world"),
+        PRB,
+        depth=4,
+    ),
+    "a ball of glass over a panel": Case(
+        lambda: {
+            "moving": ball(GLASS),
+            "panel": {
+                "type": "rectangle",
+                "to_world": T().translate([0, 0, -2]).scale(1.5),
+                "emitter": {"type": "area", "radiance": 1.0},
+            },
+        },
+        shift("moving.to_world"),
+        PRB,
+        depth=3,
+        spp=2048,
+    ),
+    "a table of plastic": Case(
+        lambda: {
+            "moving": ball(PAPER, center=[0.3, 0.1, 1.2], radius=0.8),
+            "table": plate({"type": "plastic", "diffuse_reflectance": 0.3}),
+            "sky": sky(),
+            "sensor": sensor((-3, -1, 4)),
+        },
+        shift("moving.to_world"),
+        PRB,
+        depth=3,
+    ),
+    "a leaf of two layers": Case(
+        lambda: {
+            "moving": {
+                "type": "cylinder",
+                "p0": [-1, 0, 0],
+                "p1": [1, 0, 0],
+                "radius": 0.7,
+                "bsdf": {"type": "mask", "opacity": 0.5, "nested": {"type": "twosided", "nested": PAPER}},
+            },
+            "floor": {**FLOOR, "to_world": T().translate([0, 0, -1]).scale(4)},
+            "sky": sky(),
+        },
+        shift("moving.to_world"),
+        PRB,
+        depth=3,
+    ),
+    "a camera, aside: a mirror": Case(
+        lambda: {
+            "ball": ball(PAPER, center=[0.9, 0, 0], radius=0.7),
+            "mirror": ball(MIRROR, center=[-0.8, 0, 0], radius=0.9),
+            "sky": sky(),
+        },
+        shift("sensor.to_world"),
+        PRB,
+        depth=3,
+    ),
+}
