@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from djpt.core.transforms import ScalarTransform4f as T
 from tests.silhouettes import camera_cases, cases, light_cases, mirror_cases
-from tests.silhouettes.cases import INTERIOR, PRB, Case, plate, sky, turn
+from tests.silhouettes.cases import INTERIOR, PRB, Case, plate, sensor, sky, turn
 
 CASES = cases.CASES | camera_cases.CASES | light_cases.CASES | mirror_cases.CASES
 
@@ -14,7 +16,6 @@ QUICK = {
     "a camera, turn: a globe": "prb_projective",
     "a ball rises from a floor": "direct_projective",
     "a flat mirror": "prb_projective",
-    "a lamp in a mirror": "direct_projective",
     "the shadow of a ball in the light of a point": "direct_projective",
 }
 """What runs before a commit; all else is slow."""
@@ -29,6 +30,15 @@ EACH = [
 @pytest.mark.parametrize(("name", "kind"), EACH)
 def test_derivatives_are_those_of_differences(name: str, kind: str) -> None:
     CASES[name].check(kind, name)
+
+
+def test_a_mirror_shows_edges_where_they_would_be_behind_it() -> None:
+    """The outline of a lamp in a flat mirror moves like that of a lamp behind a window in its place."""
+    mirrored = mirror_cases.CASES["a lamp in a mirror"]
+    behind = {"type": "disk", "to_world": T().translate([0.3, 0.2, -3]), "emitter": {"type": "area", "radiance": 2.0}}
+    window = replace(mirrored, nodes=lambda: {"moving": behind, "sensor": sensor((-3, -1, 5))})
+    found, expected = (case.forward("direct_projective", 3) for case in (replace(mirrored, spp=512), window))
+    assert found == pytest.approx(expected, rel=0.08)
 
 
 def test_chains_of_smooth_surfaces() -> None:
