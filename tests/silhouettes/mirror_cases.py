@@ -132,22 +132,6 @@ CASES: dict[str, Case] = {
         PRB,
         depth=3,
     ),
-    "a leaf of two layers": Case(
-        lambda: {
-            "moving": {
-                "type": "cylinder",
-                "p0": [-1, 0, 0],
-                "p1": [1, 0, 0],
-                "radius": 0.7,
-                "bsdf": {"type": "mask", "opacity": 0.5, "nested": {"type": "twosided", "nested": PAPER}},
-            },
-            "floor": {**FLOOR, "to_world": T().translate([0, 0, -1]).scale(4)},
-            "sky": sky(),
-        },
-        shift("moving.to_world"),
-        PRB,
-        depth=3,
-    ),
     "a camera, aside: a mirror": Case(
         lambda: {
             "ball": ball(PAPER, center=[0.9, 0, 0], radius=0.7),

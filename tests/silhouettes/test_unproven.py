@@ -81,6 +81,10 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
         {"moving": smooth_mirror()},
         r"'moving' has the BSDF '.*' .conductor., and the edges at which rays leave.*'face_normals'",
     ),
+    "a tube of two layers": (
+        {"moving": {"type": "cylinder", "bsdf": {"type": "mask", "opacity": 0.5, "nested": PLASTER}}},
+        "'moving' has the BSDF '.*' .mask., and the outlines of the inner layer",
+    ),
     "a ring and a mirror": (
         {"other": MIRROR_BEHIND, "ring": {"type": "torus", "to_world": T().translate([3, 0, 0]).scale(0.3)}},
         "'ring' is of the type 'torus', 'other' has the BSDF .*conductor.*, and its parts aren't told apart",

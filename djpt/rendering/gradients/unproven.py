@@ -139,6 +139,13 @@ def bent_mirrors(rendering: Rendering) -> Iterator[str]:
             yield f"'{shape.id()}' has the BSDF {named(bsdf)}"
 
 
+def open_layers(rendering: Rendering) -> Iterator[str]:
+    """Round shapes without ends that light passes straight through."""
+    for shape, bsdf in rendering.bsdfs() if rendering.movers() else ():
+        if name_of(type(shape)) in ("cylinder", "cone", "paraboloid") and has_flag(bsdf.flags(), BSDFFlags.Null):
+            yield f"'{shape.id()}' has the BSDF {named(bsdf)}"
+
+
 TOLD_APART = {"sphere", "disk", "rectangle", "cylinder", "cone", "paraboloid", "cube", "cuboid", "plane"}
 """The shapes, meshes aside, of which no part stands before another one that is seen from the same side."""
 
@@ -336,6 +343,12 @@ CASES: tuple[Case, ...] = (
         "the edges at which rays leave its triangles on the wrong side aren't followed",
         "give the mesh 'face_normals', or use a rough material",
         bent_mirrors,
+    ),
+    Case(
+        "`mask` on a `cylinder`, a `cone` or a `paraboloid`",
+        "the outlines of the inner layer aren't all followed",
+        "use a mesh",
+        open_layers,
     ),
     Case(
         "smooth mirrors, glass, plastic and `mask` beside a `torus`, a curve or an implicit surface",
