@@ -13,8 +13,8 @@ from djpt.integrators.projective.crossings import Lines, edges_on_lines
 from djpt.integrators.projective.detail import seen_through
 from djpt.integrators.projective.guiding import UNIFORM_SHARE, BaseGuidingDistr, OcSpaceDistr, UniformDistr, places_of
 from djpt.integrators.projective.reattach import has_mirrors
-from djpt.integrators.projective.smooth_chains import MOST_CHAIN_LINKS, Chains
-from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector2f
+from djpt.integrators.projective.smooth_chains import Chains, random_turns
+from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, Vector2f
 
 __all__ = ["FilmEdges"]
 
@@ -94,7 +94,7 @@ class FilmEdges:
         weight = weight * (room.x * room.y / (window.x * window.y))
         sin, cos = dr.sincos(2 * math.pi * points.z)
         along, aside = Vector2f(cos, sin), Vector2f(-sin, cos)
-        bits = UInt32(sampler.next_1d() * 2.0**MOST_CHAIN_LINKS)
+        bits = random_turns(sampler)
 
         def place(s: Float, r: Float) -> Point2f:
             return Point2f(middle + along * (s - 0.5 * length) + aside * r)

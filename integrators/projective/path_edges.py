@@ -18,7 +18,7 @@ from djpt.core.records import BSDFContext, BSDFFlags, DirectionSample3f, Ray3f, 
 from djpt.core.warp import square_to_uniform_sphere
 from djpt.integrators.projective.crossings import Lines, edges_on_lines
 from djpt.integrators.projective.detail import seen_through
-from djpt.integrators.projective.smooth_chains import MOST_CHAIN_LINKS, Chains
+from djpt.integrators.projective.smooth_chains import MOST_CHAIN_LINKS, Chains, random_turns
 from djpt.integrators.projective.splat import keep
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
 
@@ -45,6 +45,11 @@ class Arrival:
     """The turns of the chain."""
     link: UInt32
     """The number of the ray that arrives, counted from 0."""
+
+    @staticmethod
+    def along(o: Point3f, d: Vector3f, from_camera: Bool, none: UInt32) -> Arrival:
+        """One whose first ray arrives; `none` is 0 in each lane."""
+        return Arrival(Point3f(o), Vector3f(d), from_camera, UInt32(none), UInt32(none))
 
     def where(self, mask: Bool, other: Arrival) -> Arrival:
         """This on some lanes, another one on the others."""
@@ -83,7 +88,7 @@ def path_edges(integrator: Any, scene: Any, sensor: Any, sampler: Any) -> tuple[
         d = toward(s, r)
         return Ray3f(dr.detach(still.spawn_ray(dr.detach(d)).o), d)
 
-    bits = UInt32(sampler.next_1d() * 2.0**MOST_CHAIN_LINKS)
+    bits = random_turns(sampler)
     lines = Lines(rays, LENGTH, PARTS, bits, depth, meetings=False, outlines=mirrored, start=Point3f(si.p))
 
     def scattered(s: Float) -> Color3f:
@@ -134,10 +139,8 @@ def walk(integrator, scene, sampler, ray, weight):  # type: ignore[no-untyped-de
     longest, roulette_from = dr.opaque(UInt32, integrator.max_depth), dr.opaque(UInt32, integrator.rr_depth)
     none = UInt32(zero)
     o, d, maxt = Point3f(ray.o) + zero, Vector3f(ray.d) + zero, ray.maxt + zero
-    way = Arrival(Point3f(o), Vector3f(d), zero == 0, UInt32(none), UInt32(none))
-    way_before = Arrival(Point3f(o), Vector3f(d), zero == 0, UInt32(none), UInt32(none))
-    here = Arrival(Point3f(o), Vector3f(d), zero == 0, UInt32(none), UInt32(none))
-    before = Arrival(Point3f(o), Vector3f(d), zero == 0, UInt32(none), UInt32(none))
+    way, way_before = Arrival.along(o, d, zero == 0, none), Arrival.along(o, d, zero == 0, none)
+    here, before = Arrival.along(o, d, zero == 0, none), Arrival.along(o, d, zero == 0, none)
     β, kept, depth, edges = Color3f(weight) + zero, Color3f(zero), UInt32(none), UInt32(none)
     count, mirrored, η, active = UInt32(none), zero != 0, Float(1) + zero, zero == 0
 
@@ -162,7 +165,7 @@ def walk(integrator, scene, sampler, ray, weight):  # type: ignore[no-untyped-de
         o, d, maxt = Point3f(onward.o), Vector3f(onward.d), Float(onward.maxt)
         through = dr.select(bs.wo.z * si.wi.z < 0, UInt32(1), 0)
         led_on = Arrival(way.o, way.d, way.from_camera, way.bits | (through << way.link), way.link + 1)
-        fresh = Arrival(Point3f(o), Vector3f(d), zero != 0, UInt32(none), UInt32(none))
+        fresh = Arrival.along(o, d, zero != 0, none)
         way_before = way_before.where(smooth, way)
         way = led_on.where(smooth, fresh)
 

@@ -19,7 +19,7 @@ from djpt.jit.frozen import recording
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.scene.intersecting_shapes import is_convex
 
-__all__ = ["MOST_CHAIN_LINKS", "Chains"]
+__all__ = ["MOST_CHAIN_LINKS", "Chains", "random_turns"]
 
 MOST_CHAIN_LINKS = 8
 """The surfaces that chains are followed through, at most."""
@@ -162,6 +162,11 @@ class Chains:
             moved = attached_ray(onward, Ray3f(si.p, onward_direction(si, bs.wo, bs.eta, here)), here)
             ray = Ray3f(dr.select(here, moved.o, ray.o), dr.select(here, moved.d, ray.d))
         return ray
+
+
+def random_turns(sampler: Any) -> UInt32:
+    """The bits by which chains choose at surfaces that both reflect and let through, one for each link."""
+    return UInt32(sampler.next_1d() * 2.0**MOST_CHAIN_LINKS)
 
 
 def side_of(si: SurfaceInteraction3f) -> UInt32:
