@@ -80,6 +80,8 @@ class Integrator(Plugin):
     """False if the image consists of AOVs alone."""
     follows_media = False
     """True if light can be scattered on the way between surfaces: see `Scene.replace`."""
+    follows_overlaps = False
+    """True if paths follow bodies that overlap by their priorities: see `djpt.geometry.overlapping`."""
     measures_distance = False
     """True if it needs to know how far from the camera rays start: `Scene.near_clip_fraction`."""
 

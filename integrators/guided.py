@@ -83,6 +83,7 @@ class GuidedPath(UnidirectionalPath, LearningIntegrator):
     pure = True
     schedules: tuple[str, ...] = ("learning",)
     in_any_frame = True
+    follows_overlaps = False
 
     guide: Guide
     """The distribution that was learned; there is none before."""

@@ -169,8 +169,9 @@ class VolumetricPath(UnidirectionalPath):
         # ---------------------- Next vertex -------------------
         shadow_ray, next_ray = scene.shadow_ray(at, ds), at.spawn_ray(wo)
         if ray.medium is not None:
+            here = scene.media.along(ray, flight.t, inside)
             for leaving in (shadow_ray, next_ray):
-                leaving.medium = dr.select(inside, ray.medium, leaving.medium)
+                leaving.medium = dr.select(inside, here, leaving.medium)
         covered = state.covered | inside | (surface & ~crosses)
         sky = not self.hide_emitters and scene.covered_by_sky(si)
         return Vertex(

@@ -115,8 +115,8 @@ class CachedVolumetricPath(VolumetricPathMIS, LearningIntegrator):
     ) -> ScatteringVertex:
         assert isinstance(state, CachedState)
         v = super().arrive(scene, sampler, state, ray, si, flight)
-        medium = UInt32(scene.media.vacuum) if ray.medium is None else ray.medium
-        onward = medium if v.ray.medium is None else v.ray.medium
+        medium = UInt32(scene.media.vacuum) if ray.medium is None else scene.media.filling(ray.medium)
+        onward = medium if v.ray.medium is None else scene.media.filling(v.ray.medium)
         stay = dr.select(flight.scattered, state.stay + 1, state.stay)
 
         # ---------------- A cell, and its light ---------------

@@ -57,6 +57,9 @@ class BSDF(Plugin):
     invisible: ClassVar[bool] = False
     """True if all light passes straight through. Counts for the class that says so, not for those derived from it."""
 
+    bounds_bodies: ClassVar[bool] = False
+    """True if it may be the boundary of a body that others overlap: see `surrounded_by`."""
+
     symmetric: ClassVar[bool] = False
     """True if f(wi, wo) = f(wo, wi), indices of refraction aside: see `is_symmetric`. Counts for the class that says
     so, not for those derived from it."""
@@ -78,6 +81,14 @@ class BSDF(Plugin):
         """
         nested = (getattr(self, name, None) for name in self.children)
         return self.says("symmetric") and all(plugin.is_symmetric for plugin in nested if isinstance(plugin, BSDF))
+
+    def surrounded_by(self, index: Float) -> BSDF:
+        """The BSDF of this surface in a medium other than that of its description.
+
+        Args:
+            index: The index of refraction of that medium over the one of the description, per lane.
+        """
+        return self
 
     def components(self) -> tuple[int, ...]:
         """The `BSDFFlags` of each lobe, numbered as in `BSDFSample3f.sampled_component`."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, ClassVar
 
@@ -45,6 +46,7 @@ class Dielectric(DeltaBSDF):
     """
 
     symmetric = True
+    bounds_bodies = True
     values: ClassVar[Mapping[str, ParamFlags]] = {"eta": ParamFlags.NonDifferentiable}
     allowed = ETA
     children = ("specular_reflectance", "specular_transmittance", "absorption")
@@ -63,6 +65,11 @@ class Dielectric(DeltaBSDF):
     def move_into(self, frame: Frame) -> None:
         self.move_nested(frame)
         self.absorption = frame.rescaled(self.absorption, -1)
+
+    def surrounded_by(self, index: Float) -> Dielectric:
+        view = copy.copy(self)
+        view.eta = self.eta / index
+        return view
 
     def components(self) -> tuple[int, ...]:
         return REFLECTION, TRANSMISSION

@@ -19,6 +19,7 @@ class Null(DeltaBSDF):
     in_any_frame = True
     invisible = True
     symmetric = True
+    bounds_bodies = True
 
     def components(self) -> tuple[int, ...]:
         return (int(BSDFFlags.Null | BSDFFlags.FrontSide | BSDFFlags.BackSide),)

@@ -23,6 +23,10 @@ class BSDFPtr(Pointer[BSDF]):
 
     member_kind = "bsdf"
 
+    around: tuple[Float, ...]
+    """The index of refraction around the surface, relative to that around the whole scene, or nothing for 1: see
+    `djpt.materials.base.BSDF.surrounded_by`."""
+
     def flags(self, index: int | None = None, active: Bool | bool = True) -> UInt32:
         """The `BSDFFlags` per lane; with `index` those of that lobe, 0 where there is none."""
         return self.number(lambda bsdf: flags_of(bsdf, index))
@@ -137,7 +141,11 @@ class BSDFPtr(Pointer[BSDF]):
 
         `method` returns a PyTree; on lanes that aren't `active` it means nothing.
         """
-        result = self.ensemble.call(self.index, self.lookup, method, None, active)
+
+        def there(bsdf: BSDF) -> Any:
+            return method(bsdf.surrounded_by(self.around[0]) if self.around else bsdf)
+
+        result = self.ensemble.call(self.index, self.lookup, there, None, active)
         # Every surface has a BSDF, so no value is needed for "none", unless a script has made the pointers.
         return zero_unless(self.is_valid(), result) if self.is_of_script else result
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping
 from typing import ClassVar
 
@@ -49,6 +50,7 @@ class RoughDielectric(RoughBSDF):
 
     in_any_frame = True
     symmetric = True
+    bounds_bodies = True
     values: ClassVar[Mapping[str, ParamFlags]] = {"eta": ParamFlags.Differentiable | ParamFlags.Discontinuous}
     allowed = ETA
     children = (*ALPHAS, "specular_reflectance", "specular_transmittance")
@@ -63,6 +65,11 @@ class RoughDielectric(RoughBSDF):
         self.eta = as_float(int_ior / ext_ior)
         self.specular_reflectance = optional_texture(props, "specular_reflectance")
         self.specular_transmittance = optional_texture(props, "specular_transmittance")
+
+    def surrounded_by(self, index: Float) -> RoughDielectric:
+        view = copy.copy(self)
+        view.eta = self.eta / index
+        return view
 
     def components(self) -> tuple[int, ...]:
         common = BSDFFlags.FrontSide | BSDFFlags.BackSide | self.anisotropy

@@ -50,6 +50,8 @@ class Geometry:
 
     moves: ClassVar[bool] = False
     """Whether some of the shapes move, so that queries look at the time of a ray."""
+    overlaps: ClassVar[bool] = False
+    """Whether bodies overlap, so that queries look at the medium of a ray: see `djpt.geometry.overlapping`."""
 
     def __init__(self, shapes: Sequence[Shape], points: Sequence[Point3f], open_sky: bool) -> None:
         """`points` are the positions of point lights; `open_sky` is true if there is light from infinity."""
@@ -536,7 +538,7 @@ class NullSurfaces:
         self._geometry = geometry
         self._null = [null[i] for i in geometry.analytic_shapes]
         self._opaque = [not passes for passes in self._null]
-        self.are_apart = sum(self._null) == sum(null)
+        self.are_apart = sum(self._null) == sum(null) and not geometry.overlaps
         """Whether all passable shapes are unrolled: only then the queries mean something."""
 
     def blocked(self, ray: Ray3f, active: Bool | bool = True) -> Bool:
@@ -564,6 +566,8 @@ class MeasuredMedia:
         """Whether `passed` means something."""
         triangles = geometry.triangles
         if triangles is None or not triangles.can_measure or triangles.null_meshes.count != sum(null):
+            return
+        if geometry.overlaps:
             return
         from djpt.geometry.bvh.calls.layout import MEDIA
 

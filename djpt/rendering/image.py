@@ -142,6 +142,11 @@ def make_job(scene: Scene, settings: RenderSettings) -> Job:
     if integrator.needs_light and not shines:
         raise RenderError("the scene has no emitter: the image would be black")
     integrator.check_scene(scene, sensor)
+    if scene.geometry.overlaps and not integrator.follows_overlaps:
+        raise RenderError(
+            f"'{type(integrator).__name__}' doesn't follow bodies that overlap, and shapes of the scene have a "
+            "'priority'; possible: the integrators 'path' and 'volpath'"
+        )
     if (scene.moves or sensor.moves) and not integrator.follows_motion:
         raise RenderError(
             f"'{type(integrator).__name__}' renders what moves in slices of time, which only whole images have: use "

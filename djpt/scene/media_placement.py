@@ -192,9 +192,26 @@ class Media:
         if eye is not None and sensor.carrier is not None:
             eye = sensor.carrier.keyframes.at(sensor.shutter_open()).transform_point(eye)
         given, around = self.number(sensor.get_medium()), self.around(eye)
+        return self.begun(given, around)
+
+    def begun(self, given: int, around: int) -> tuple[UInt32, UInt32 | None]:
+        """What `of_sensor` returns, by the numbers of the medium that the sensor names and of the one around it."""
         start = dr.opaque(UInt32, around if given == self.vacuum else given)
         outer = dr.opaque(UInt32, given) if given != self.vacuum and around == self.vacuum else None
         return start, outer
+
+    def along(self, ray: Ray3f, t: Float, active: Bool) -> UInt32:
+        """The medium of a ray at a distance, up to which it meets no surface."""
+        assert ray.medium is not None
+        return ray.medium
+
+    def filling(self, medium: UInt32) -> UInt32:
+        """The numbers of media by what rays carry as their `medium`: the same, unless bodies overlap."""
+        return medium
+
+    def index_around(self, si: SurfaceInteraction3f) -> Float | None:
+        """The index of refraction around the shape at `si`, relative to that around the scene; None: always 1."""
+        return None
 
     def beyond(self, si: SurfaceInteraction3f, d: Vector3f) -> UInt32:
         """The medium of a ray that leaves `si` in the world direction `d`."""
@@ -211,16 +228,18 @@ class Media:
         """The phase functions of media with the numbers `medium`."""
         from djpt.phase.pointer import PhaseFunctionPtr
 
-        pointer: PhaseFunctionPtr = PhaseFunctionPtr.into(Family(self._phases, self.lookup), self._phase_of.at(medium))
+        number = self._phase_of.at(self.filling(medium))
+        pointer: PhaseFunctionPtr = PhaseFunctionPtr.into(Family(self._phases, self.lookup), number)
         return pointer
 
     def sample_emitters(self, medium: UInt32) -> Bool:
         """True where emitters are to be sampled from points in a medium."""
-        return Members([i for i, m in enumerate(self.plugins) if m.use_emitter_sampling()], self.vacuum).contain(medium)
+        sampling = Members([i for i, m in enumerate(self.plugins) if m.use_emitter_sampling()], self.vacuum)
+        return sampling.contain(self.filling(medium))
 
     def coefficients(self, medium: UInt32, mei: MediumInteraction3f, active: Bool) -> tuple[Color3f, Color3f]:
         """sigma_s and sigma_t at points in media; 0 in a vacuum."""
-        found = Color3f(0), Color3f(0)
+        found, medium = (Color3f(0), Color3f(0)), self.filling(medium)
         for group in self.ensemble.groups:
             mine = self.ensemble.members(group, medium) & active
             here = group.at(self.ensemble.slots(group, medium), self.lookup)
@@ -232,7 +251,7 @@ class Media:
 
     def fill(self, medium: UInt32) -> Bool:
         """True where a ray's medium isn't the vacuum."""
-        return medium < self.vacuum
+        return self.filling(medium) < self.vacuum
 
     def reach(self, ray: Ray3f, channel: UInt32 | None, throughput: Color3f, stream: SampleStream) -> Float:
         """The distance at which light is scattered if no surface is nearer, where that is known before the flight.
@@ -240,11 +259,11 @@ class Media:
         Elsewhere infinity. Nothing is drawn from `stream`, which `fly` is to be given next.
         """
         assert ray.medium is not None
-        reach = Float(dr.inf)
+        number, reach = self.filling(ray.medium), Float(dr.inf)
         if self.emit or self.are_attached():  # then a flight depends on the surface behind its end
             return reach
         for group in self.ensemble.groups:
-            mine, slot = self.ensemble.members(group, ray.medium), self.ensemble.slots(group, ray.medium)
+            mine, slot = self.ensemble.members(group, number), self.ensemble.slots(group, number)
             medium = group.at(slot, self.lookup)
             reach = dr.select(mine, medium.reach(ray, channel, throughput, stream.clone(), mine), reach)
         return reach
@@ -261,9 +280,9 @@ class Media:
         from djpt.media.flight import Flight
 
         assert ray.medium is not None
-        flight = Flight.none()
+        number, flight = self.filling(ray.medium), Flight.none()
         for group in self.ensemble.groups:
-            mine, slot = self.ensemble.members(group, ray.medium), self.ensemble.slots(group, ray.medium)
+            mine, slot = self.ensemble.members(group, number), self.ensemble.slots(group, number)
             medium, leaves = tracked_and_attached(group, slot, self.lookup)
             if leaves is None:
                 flown = medium.fly(ray, length, channel, throughput, stream, mine)
@@ -275,10 +294,10 @@ class Media:
     def passing_weight(self, ray: Ray3f, t: Float, throughput: Color3f, active: Bool) -> Color3f:
         """The transmittance up to a distance, over the probability of getting there: see `Medium.passing_weight`."""
         assert ray.medium is not None
-        weight = Color3f(1)
+        number, weight = self.filling(ray.medium), Color3f(1)
         for group in self.ensemble.groups:
-            mine = self.ensemble.members(group, ray.medium)
-            medium = group.at(self.ensemble.slots(group, ray.medium), self.lookup)
+            mine = self.ensemble.members(group, number)
+            medium = group.at(self.ensemble.slots(group, number), self.lookup)
             weight = dr.select(mine, medium.passing_weight(ray, t, throughput, mine & active), weight)
         return weight
 
@@ -297,8 +316,9 @@ class Media:
         if ray.medium is None:
             return left
         length = dr.select(ray.maxt < dr.inf, dr.norm(ray.d), dr.inf) if length is None else length
+        number = self.filling(ray.medium)
         for group in self.ensemble.groups:
-            mine, slot = self.ensemble.members(group, ray.medium), self.ensemble.slots(group, ray.medium)
+            mine, slot = self.ensemble.members(group, number), self.ensemble.slots(group, number)
             medium, leaves = tracked_and_attached(group, slot, self.lookup)
             if leaves is None or stream is None:
                 share = medium.transmittance(ray, length, stream, mine & active)
@@ -310,10 +330,10 @@ class Media:
     def in_box(self, ray: Ray3f, length: Float) -> tuple[Float, Float]:
         """The part of a segment of a ray that lies in the box of a tracked medium; elsewhere an empty one."""
         assert ray.medium is not None
-        start, end = Float(0), Float(0)
+        number, start, end = self.filling(ray.medium), Float(0), Float(0)
         for group in self._tracked():
-            mine = self.ensemble.members(group, ray.medium)
-            medium = group.at(self.ensemble.slots(group, ray.medium), self.lookup.plain())
+            mine = self.ensemble.members(group, number)
+            medium = group.at(self.ensemble.slots(group, number), self.lookup.plain())
             first, last = tracking.span(medium, ray, length, mine)
             start, end = dr.select(mine, first, start), dr.select(mine, last, end)
         return start, end
@@ -333,10 +353,10 @@ class Media:
             active: Lanes that have a segment.
         """
         assert ray.medium is not None
-        found, weight = ScatteringPoint.none(), Color3f(0)
+        number, found, weight = self.filling(ray.medium), ScatteringPoint.none(), Color3f(0)
         for group in self._tracked():
-            mine = self.ensemble.members(group, ray.medium) & active
-            medium = group.at(self.ensemble.slots(group, ray.medium), self.lookup.plain())
+            mine = self.ensemble.members(group, number) & active
+            medium = group.at(self.ensemble.slots(group, number), self.lookup.plain())
             of_group = tracking.scattering_point(medium, ray, flown, length, mine)
             found, weight = dr.select(mine, of_group, (found, weight))
         return found, weight
@@ -351,10 +371,10 @@ class Media:
 
     def _tracked_value(self, medium: UInt32, value: Callable[[Medium, Bool], Color3f]) -> Color3f:
         """The results of tracked media; 0 for all others."""
-        answer = Color3f(0)
+        number, answer = self.filling(medium), Color3f(0)
         for group in self._tracked():
-            mine = self.ensemble.members(group, medium)
-            leaves = group.at(self.ensemble.slots(group, medium), self.lookup)
+            mine = self.ensemble.members(group, number)
+            leaves = group.at(self.ensemble.slots(group, number), self.lookup)
             answer = dr.select(mine, value(leaves, mine), answer)
         return answer
 

@@ -152,7 +152,7 @@ class SceneQueries(Plugin):
             wi=dr.select(valid, surface.sh_frame.to_local(-ray.d), back),
             shape_index=dr.select(valid, pi.shape_index, 0),
             face=pi.face,
-            media=ray.media,
+            media=pi.media or ray.media,
             prim_uv=surface.prim_uv,
             scene_ref={self: ()},
         )
@@ -177,8 +177,10 @@ class SceneQueries(Plugin):
     # ---- plugins at surface points ---------------------------------------------------------
 
     def bsdf_at(self, si: SurfaceInteraction3f) -> BSDFPtr:
-        """The BSDF of the shape at `si`."""
-        return self.bsdfs.at(si.face)
+        """The BSDF of the shape at `si`, with the relative index that follows from what surrounds the shape there."""
+        bsdf = self.bsdfs.at(si.face)
+        around = self.media.index_around(si)
+        return bsdf if around is None else bsdf.replaced(around=(around,))
 
     def emitter_index_at(self, si: SurfaceInteraction3f) -> UInt32:
         """The number of the emitter seen at `si`; the count of emitters means none."""

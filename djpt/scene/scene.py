@@ -223,12 +223,19 @@ class Scene(MitsubaScene):
 
     def _compiled_geometry(self) -> Geometry:
         """The shapes, compiled for ray queries."""
+        overlap = any(shape.priority is not None for shape in self._shapes)
         if any(shape.moves for shape in self._shapes):
+            if overlap:
+                raise SceneError(f"{self.id()}: shapes can't move in scenes in which one has a 'priority'")
             from djpt.geometry.moving import MovingGeometry  # few scenes need it
 
             return MovingGeometry(self._shapes)
         # A light that moves has no position that walls could be compared with.
         open_sky = any(e.from_infinity or e.carrier is not None for e in self._emitters)
+        if overlap:
+            from djpt.geometry.overlapping import OverlappingGeometry  # nor this
+
+            return OverlappingGeometry(self._shapes, self._light_positions(), open_sky)
         return Geometry(self._shapes, self._light_positions(), open_sky)
 
     def renew_bsdfs(self) -> None:
@@ -245,10 +252,15 @@ class Scene(MitsubaScene):
         """Number the media of shapes and sensors."""
         shapes = self.geometry.contents.shapes
         self.geometry.follow_bsdfs()
-        self.media = self.every_medium = Media(self.geometry, self.lookup, absorbing_sides(shapes))
+        kind: type[Media] = Media
+        if self.geometry.overlaps:
+            from djpt.scene.overlapping_media import OverlappingMedia  # few scenes need it
+
+            kind = OverlappingMedia
+        self.media = self.every_medium = kind(self.geometry, self.lookup, absorbing_sides(shapes))
         of_sensors = [sensor.get_medium() for sensor in self._sensors if sensor.get_medium() is not None]
         if of_sensors or any(shape.is_medium_transition() for shape in shapes):
-            self.every_medium = Media(self.geometry, self.lookup, all_sides(shapes), of_sensors)
+            self.every_medium = kind(self.geometry, self.lookup, all_sides(shapes), of_sensors)
 
     def _light_positions(self) -> list[Point3f]:
         return [e.position for e in self._emitters if has_flag(e.flags(), EmitterFlags.DeltaPosition)]  # type: ignore[attr-defined]

@@ -71,7 +71,7 @@ def index_around(
 
     Where bodies overlap, as a liquid that reaches into the wall of its glass, the one with the highest priority fills
     the space, and of those with the same the smallest (C. Schmidt and B. Budge, "Simple nested dielectrics in ray
-    traced images", 2002). `priorities` names them by the ids of shapes; the default is 0.
+    traced images", 2002). `priorities` are by the ids of shapes, by default those of the scene; else they are 0.
 
     Raises:
         SceneError: The place is ambiguous: for some body more than a tenth of the rays, and fewer than nine, vote.
@@ -86,8 +86,8 @@ def index_around(
     around = [body for body in known if body.votes >= 0.9]
     if not around:
         return 1.0
-    priority = {} if priorities is None else priorities
-    first = max(around, key=lambda body: priority.get(body.shape.id(), 0.0))  # the first, thus smallest, of equals
+    given = {body.shape.id(): body.shape.priority or 0.0 for body in around} if priorities is None else priorities
+    first = max(around, key=lambda body: given.get(body.shape.id(), 0.0))  # the first, thus smallest, of equals
     assert first.eta is not None
     return first.eta
 

@@ -94,6 +94,8 @@ class Shape(ShapeQuestions):
     area: Float
     """The total area in world space, of shapes that have this value."""
 
+    priority: float | None = None
+    """The priority of the body that the surface bounds, where bodies overlap; None if none was given."""
     deforms: bool = False
     """Of meshes: whether the vertices move, see `djpt.shapes.deforming`."""
     in_group: bool = False
@@ -108,6 +110,8 @@ class Shape(ShapeQuestions):
         self._sensor = props.child("sensor")
         self._interior = props.plugin("interior", "medium", None)
         self._exterior = props.plugin("exterior", "medium", None)
+        if "priority" in props:
+            self.priority = props.float("priority")
         self.take_textures(props)
         self.flip_normals = props.boolean("flip_normals", False)
         self.silhouette_weight = props.float("silhouette_sampling_weight", 1.0, low=0.0)
@@ -154,8 +158,8 @@ class Shape(ShapeQuestions):
         """Raise `SceneError` if the shape can't be moved by its animation."""
         if self.in_pieces:
             raise SceneError("can't move curves and ellipsoids: nest them in a 'shapegroup' and animate an instance")
-        if self._interior is not None or self._exterior is not None:
-            raise SceneError("can't move a shape that bounds a medium")
+        if self._interior is not None or self._exterior is not None or self.priority is not None:
+            raise SceneError("can't move a shape that bounds a medium or has a priority")
         self.motion.demand("unmirrored", "must not mirror a shape: mirror what moves")
         if self._emitter is not None:
             self.motion.demand("similar", "must scale uniformly: the shape emits light")

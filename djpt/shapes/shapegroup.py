@@ -43,6 +43,8 @@ class ShapeGroup(Shape):
                 raise SceneError(f"{props.node}: '{key}' has an emitter; instanced shapes can't emit light")
             if shape.moves:
                 raise SceneError(f"{props.node}: '{key}' is animated; in a group only whole instances move")
+            if shape.priority is not None:
+                raise SceneError(f"{props.node}: '{key}' has a 'priority'; bodies that overlap can't be instanced")
             shape.in_group = True
 
     @property

@@ -1,4 +1,4 @@
-"""Scenes with media: smoke over a fire, milk, sunbeams, candles."""
+"""Scenes with media: smoke over a fire, milk, a cold drink, sunbeams, candles."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import djpt
 from djpt import ScalarTransform4f as T
 from places import IMAGES
 
-__all__ = ["candles", "milk", "smoke", "subsurface", "sunbeams"]
+__all__ = ["candles", "drink", "milk", "smoke", "subsurface", "sunbeams"]
 
 NULL = {"type": "null"}
 
@@ -24,6 +24,11 @@ def smoke() -> None:
 def milk() -> None:
     """A glass of milk."""
     draw("milk", milk_scene(), 256)
+
+
+def drink() -> None:
+    """A glass of water with ice and a straw."""
+    draw("drink", drink_scene(), 1024)
 
 
 def sunbeams() -> None:
@@ -150,9 +155,8 @@ def smoke_scene() -> dict[str, Any]:
 # ---------------------------------------------------------------- milk
 
 
-def turned(profile: list[tuple[float, float]], name: str, **props: Any) -> djpt.Mesh:
+def turned(profile: list[tuple[float, float]], name: str, steps: int = 96, **props: Any) -> djpt.Mesh:
     """The surface that a line of points (radius, y) sweeps about the y axis; its outside is on the line's right."""
-    steps = 96
     angle = np.arange(steps) / steps * 2 * np.pi
     rings = [np.stack([r * np.cos(angle), np.full(steps, y), r * np.sin(angle)], axis=-1) for r, y in profile]
     first = np.arange(steps)
@@ -191,6 +195,51 @@ def milk_scene() -> dict[str, Any]:
         "glass": turned(glass, "glass", bsdf=interface(1.5, 1.0)),
         "filled": turned(filled, "filled", bsdf=interface(1.35, 1.5), **liquid),
         "surface": turned(surface, "surface", bsdf=interface(1.35, 1.0), **liquid),
+    }
+
+
+# ---------------------------------------------------------------- a drink
+
+
+def drink_scene() -> dict[str, Any]:
+    """Water that reaches into the wall of its glass, and into ice."""
+    outer, inner, height, bottom, level = 0.5, 0.44, 1.5, 0.12, 1.05
+
+    def body(ior: str | float, priority: float, *absorption: float) -> dict[str, Any]:
+        bsdf = {"type": "dielectric", "int_ior": ior, "absorption": colour(*absorption)}
+        return {"bsdf": bsdf, "priority": priority}
+
+    rim = [(outer, height - 0.02), (outer - 0.02, height), (inner + 0.02, height), (inner, height - 0.02)]
+    inside = [(inner, bottom + 0.06), (inner - 0.06, bottom), (0.0, bottom)]
+    glass = [(0.0, 0.0), (outer - 0.03, 0.0), (outer, 0.03), *rim, *inside]
+    middle = (inner + outer) / 2
+    water = [(0.0, bottom - 0.03), (middle, bottom - 0.03), (middle, level), (0.0, level)]
+    cubes = [([-0.16, 0.98, 0.1], 20, 35), ([0.17, 0.96, -0.08], 65, 50), ([-0.05, 0.97, -0.27], 40, 15)]
+    ice = {
+        f"ice_{k}": {
+            "type": "cube",
+            "to_world": T().translate(place).rotate([0, 1, 0], turn).rotate([1, 0, 0], tilt).scale(0.13),
+            **body("water ice", 1.0, 0.05, 0.03, 0.02),
+        }
+        for k, (place, turn, tilt) in enumerate(cubes)
+    }
+    straw = T().look_at(origin=[0.28, 0.2, 0.1], target=[-0.75, 2.05, 0.05], up=[0, 0, 1])
+    return {
+        **seen([0, 1.7, 5.2], [0, 0.74, 0], 25, 64),
+        "sky": {"type": "constant", "radiance": colour(0.75, 0.8, 0.88)},
+        "lamp": lamp([4, 4.5, 2], [0, 0.8, 0], 3.0, 3.0, 2.8, 2.5),
+        "table": ground(-0.01, 0.36, 0.25, 0.16),
+        "glass": turned(glass, "glass", 512, **body(1.5, 2.0, 0.5, 0.15, 0.3)),
+        "water": turned(water, "water", 512, **body("water", 0.0, 0.35, 0.06, 0.04)),
+        **ice,
+        "straw": {
+            "type": "cylinder",
+            "p0": [0, 0, 0],
+            "p1": [0, 0, 2.1],
+            "radius": 0.045,
+            "to_world": straw,
+            "bsdf": matte(0.75, 0.1, 0.08),
+        },
     }
 
 

@@ -44,6 +44,7 @@ class SplattingIntegrator(Integrator):
     schedules: tuple[str, ...] = ("splatting",)
     needs_light = True
     differentiable = False
+    follows_overlaps = False
 
     def splat_sample(
         self, scene: Scene, camera: Sensor, sampler: SampleStream, ray: Ray3f, position: Point2f, sink: Sink

@@ -38,6 +38,7 @@ class NestingIntegrator(Integrator):
                 raise SceneError(f"{props.node}.{name}: an integrator that traces rays from lights can't be nested")
             if isinstance(integrator, LearningIntegrator):
                 raise SceneError(f"{props.node}.{name}: an integrator that learns about the scene can't be nested")
+        self.follows_overlaps = all(integrator.follows_overlaps for integrator in integrators)
         self.needs_light = any(integrator.needs_light for integrator in integrators)
         # Paths are replayed for integrators that stand alone, or that run others: their `sample` has no derivative.
         self.differentiable = all(

@@ -144,10 +144,10 @@ class ShadowWalk:
         ray, lanes = self._ray, dr.width(self._ray, lit, sampler)
         way = aimed(ray, ray.o, ray.medium)
         free = ~self._surfaces.blocked(way, lit) if self._surfaces.are_apart else Bool(True)
-        t, face, near = self._next(way)
+        t, face, near, medium = self._next(way)
         start = Shadow(
             o=ray.o,
-            medium=ray.medium,
+            medium=medium,
             t=t,
             face=face,
             near=near,
@@ -161,10 +161,10 @@ class ShadowWalk:
         (end,) = dr.while_loop((first,), lambda shadow: shadow.active, self._go_on, label="shadow")
         return end
 
-    def _next(self, ray: Ray3f) -> tuple[Float, UInt32, Any]:
-        """The distance of the next surface, its face, and what else is known of the hit."""
+    def _next(self, ray: Ray3f) -> tuple[Float, UInt32, Any, UInt32 | None]:
+        """The distance of the next surface, its face, what else is known of the hit, and the medium up to there."""
         hit = self._surfaces.closest(ray) if self._surfaces.are_apart else self._scene.closest_hit(ray)
-        return hit.t, hit.face, hit.near
+        return hit.t, hit.face, hit.near, hit.media[0] if hit.media else ray.medium
 
     def _go_on(self, shadow: Shadow) -> tuple[Shadow]:
         """Go through a surface, and on to the next one."""
@@ -195,11 +195,11 @@ class ShadowWalk:
         on = si.spawn_ray(segment.d)
         # Where the light lies on the surface, the ray has been moved past it.
         ahead = (ray.maxt == dr.inf) | (dr.dot(ray.o + ray.d - on.o, segment.d) > 0)
-        t, face, near = self._next(aimed(ray, on.o, on.medium))
+        t, face, near, medium = self._next(aimed(ray, on.o, on.medium))
         return replace(
             shadow,
             o=on.o,
-            medium=on.medium,
+            medium=medium,
             t=t,
             face=face,
             near=near,
@@ -216,11 +216,11 @@ def begun(scene: Scene, ray: Ray3f) -> PassedMedia:
 
 def longer(scene: Scene, passed: PassedMedia, segment: Ray3f, active: Bool) -> PassedMedia:
     """`passed` with one more segment: its uniform point moves there in proportion to the length."""
-    lengths = [
-        total + dr.select(active & (segment.medium == number), segment.maxt, 0)
-        for number, total in enumerate(passed.lengths)
-    ]
     assert segment.medium is not None
+    filling = scene.media.filling(segment.medium)
+    lengths = [
+        total + dr.select(active & (filling == number), segment.maxt, 0) for number, total in enumerate(passed.lengths)
+    ]
     start, end = scene.media.in_box(segment, segment.maxt)
     length = dr.select(active & (end < FAR), end - start, 0)
     place = passed.stream.next_1d() * (passed.tracked + length)

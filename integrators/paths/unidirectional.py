@@ -34,6 +34,7 @@ class UnidirectionalPath(Terminating, PathIntegrator):
     scattered k times, in the channels `bounce<k>.R` and so on, k = 0 .. max_depth - 1. Their sum is the image.
     """
 
+    follows_overlaps = True
     default_max_depth = -1
     covers_sky = True
     """True if an environment counts as covered (alpha 1)."""

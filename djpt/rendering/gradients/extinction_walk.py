@@ -20,6 +20,7 @@ import drjit as dr
 from djpt.core.records import Ray3f
 from djpt.core.records.interactions import MediumInteraction3f
 from djpt.dispatch.ensemble import Detached
+from djpt.errors import RenderError
 from djpt.integrators.base import PathIntegrator, PathState
 from djpt.integrators.volpath import VolumetricPathState
 from djpt.jit.kernels import wide
@@ -153,6 +154,11 @@ def run(
     """Walk all samples three times; return the sums, and a number to evaluate if there are none."""
     integrator, scene, count = job.integrator, job.scene, dr.width(lanes.pixel)
     assert isinstance(integrator, PathIntegrator)
+    if scene.geometry.overlaps:
+        raise RenderError(
+            "there are no derivatives with respect to an extinction that varies where bodies overlap: shapes of the "
+            "scene have a 'priority'"
+        )
     x, y = job.coordinates(lanes.pixel)
     _, attached = mode.view(scene, values, numbering)
 

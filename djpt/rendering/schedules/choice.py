@@ -42,6 +42,8 @@ def choose(name: str, job: Job) -> Schedule:
         require_lanes(name, job)
         return schedule("wavefront")
     possible, has_tree = job.integrator.schedules, job.scene.geometry.has_trees
+    if name == "machine" and job.scene.geometry.overlaps:
+        raise RenderError("the schedule 'machine' doesn't follow bodies that overlap: use 'flat'")
     if name == "machine" and "media_machine" in possible:
         return schedule("media_machine")
     if name in ("flat", "machine") and name not in possible:
@@ -69,7 +71,8 @@ def pays(name: str, job: Job) -> bool:
         return holds_sums(job)
     if name == "machine":
         return job.scene.geometry.stepwise
-    return name != "media_machine" or any(medium.is_tracked for medium in job.scene.media.plugins)
+    tracks = any(medium.is_tracked for medium in job.scene.media.plugins) and not job.scene.geometry.overlaps
+    return name != "media_machine" or tracks
 
 
 def require_lanes(name: str, job: Job) -> None:
