@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import enum
 import operator
 from collections.abc import Sequence
@@ -288,6 +289,12 @@ class Film(Plugin):
     def filters(self) -> bool:
         """True if samples reach neighbouring pixels."""
         return not isinstance(self._rfilter, Box)
+
+    def unfiltered(self) -> Film:
+        """A copy in which each sample belongs to the pixel that it lies on alone."""
+        found = copy.copy(self)
+        found._rfilter, found._sample_border = Box(Properties("box", self._rfilter.id(), {})), False
+        return found
 
     @property
     def border(self) -> int:

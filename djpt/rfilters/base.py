@@ -28,6 +28,9 @@ class ReconstructionFilter(Plugin):
     reach: float
     """The distance, in pixels, beyond which `eval` is 0."""
 
+    has_lobes: ClassVar[bool] = True
+    """Whether `eval` may be negative somewhere."""
+
     def radius(self) -> float:
         """The distance, in pixels, beyond which `eval` is 0."""
         return self.reach

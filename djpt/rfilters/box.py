@@ -19,6 +19,7 @@ class Box(ReconstructionFilter):
     """
 
     reach = 0.5
+    has_lobes = False
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)

@@ -44,6 +44,7 @@ class Gaussian(ReconstructionFilter):
     """
 
     statics = settings = ("stddev",)
+    has_lobes = False
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)

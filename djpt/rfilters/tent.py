@@ -19,6 +19,7 @@ class Tent(ReconstructionFilter):
     """
 
     statics = ("reach",)
+    has_lobes = False
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)

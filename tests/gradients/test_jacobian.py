@@ -10,7 +10,11 @@ import pytest
 
 import djpt
 from djpt.rendering.gradients import jacobian
+from djpt.rendering.gradients.derivatives import ReplayDerivative
+from djpt.rendering.gradients.filter_sampling import Distances, own_samples
+from djpt.rendering.gradients.jacobian import KnownDerivative, jacobian_of
 from djpt.rendering.known_images import images_linearised, jacobians_collected, jacobians_known
+from djpt.rendering.schedules.flat import Flat
 
 TEXELS = np.random.default_rng(1).uniform(0.2, 0.8, (3, 4, 3)).astype(np.float32)
 
@@ -129,20 +133,96 @@ def test_colours_have_a_table_for_each_channel_alone() -> None:
 
 
 def test_without_a_jacobian_paths_are_replayed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a filter whose reach is wider than a pixel there is none, nor where it would be large."""
+    """There is none where it would be large."""
     body, integrator, (key,) = CASES["texture"]
-    for film, largest in (({"rfilter": {"type": "gaussian"}}, 2**24), ({}, 100)):
-        monkeypatch.setattr(jacobian, "LARGEST", largest)
-        scene = scene_of(body, integrator, **film)
-        params = djpt.traverse(scene)
-        dr.enable_grad(params[key])
-        params.update()
-        with jacobians_collected() as jacobians:
-            image = djpt.render(scene, params, spp=2)
-        assert not jacobians
-        with jacobians_known(jacobians):
-            dr.backward(dr.sum(image, axis=None))
-        assert dr.grad(params[key]).numpy().any()
+    monkeypatch.setattr(jacobian, "LARGEST", 100)
+    scene = scene_of(body, integrator)
+    params = djpt.traverse(scene)
+    dr.enable_grad(params[key])
+    params.update()
+    with jacobians_collected() as jacobians:
+        image = djpt.render(scene, params, spp=2)
+    assert not jacobians
+    with jacobians_known(jacobians):
+        dr.backward(dr.sum(image, axis=None))
+    assert dr.grad(params[key]).numpy().any()
+
+
+# ---- films that filter -----------------------------------------------------------------------
+
+FILTERS: dict[str, dict[str, Any]] = {
+    "gaussian": {"rfilter": {"type": "gaussian"}},
+    "narrow gaussian": {"rfilter": {"type": "gaussian", "stddev": 0.3}},
+    "tent": {"rfilter": {"type": "tent"}},
+    "mitchell": {"rfilter": {"type": "mitchell"}},
+    "lanczos": {"rfilter": {"type": "lanczos"}},
+    "border": {"rfilter": {"type": "gaussian"}, "sample_border": True},
+    "crop": {"crop_width": 3, "crop_height": 4, "crop_offset_x": 2, "rfilter": {"type": "catmullrom"}},
+}
+
+
+def linearised(scene: djpt.Scene, key: str, seed: int, spp: int) -> tuple[ReplayDerivative, KnownDerivative]:
+    """An image's derivative by replay and by a table."""
+    found: list[ReplayDerivative] = []
+
+    def kept(derivative: ReplayDerivative) -> Any:
+        found.append(derivative)
+        return jacobian_of(derivative)
+
+    params = djpt.traverse(scene)
+    dr.enable_grad(params[key])
+    params.update()
+    with pytest.MonkeyPatch.context() as patch, images_linearised() as derivatives:
+        patch.setattr(jacobian, "jacobian_of", kept)
+        djpt.render(scene, params, spp=spp, spp_grad=spp, seed=seed)
+    return found[0], next(iter(derivatives.values()))
+
+
+@pytest.mark.parametrize("name", ["gaussian", "narrow gaussian", "tent", "border"])
+def test_columns_are_forward_derivatives_of_the_same_samples(name: str) -> None:
+    body, integrator, (key,) = CASES["texture"]
+    replayed, known = linearised(scene_of(body, integrator, **FILTERS[name]), key, 1, 8)
+    job = own_samples(replayed.job)
+    assert job is not None
+    alone = ReplayDerivative(job, Flat(), replayed.parameters)
+    for entry in range(0, TEXELS.size, 5):
+        unit = np.zeros(TEXELS.size, np.float32)
+        unit[entry] = 1
+        tangents = [djpt.TensorXf(unit.reshape(TEXELS.shape))]
+        expected, found = (np.array(one.forward(tangents)) for one in (alone, known))
+        np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_the_mean_is_the_derivative_of_the_filtered_image(name: str) -> None:
+    """At the edges of the film and without them."""
+    body, integrator, (key,) = CASES["texture"]
+    scene = scene_of(body, integrator, **FILTERS[name])
+    change = [djpt.TensorXf(np.random.default_rng(3).normal(size=TEXELS.shape).astype(np.float32))]
+    pairs = [[np.array(d.forward(change)) for d in linearised(scene, key, seed, 512)] for seed in range(16)]
+    expected, found = np.moveaxis(np.array(pairs), 1, 0)
+    difference = found - expected
+    error = difference.std(axis=0) / (len(pairs) - 1) ** 0.5
+    assert np.abs(difference.mean(axis=0)).max() < 0.02 * np.abs(expected).max()
+    z = difference.mean(axis=0) / (error + 1e-4 * np.abs(expected).max())
+    assert np.mean(z**2) < 1.6 and np.abs(z).max() < 6
+
+
+@pytest.mark.parametrize("rfilter", ["gaussian", "tent", "mitchell", "catmullrom", "lanczos"])
+@pytest.mark.parametrize("low, high", [(-3.0, 3.0), (-0.5, 3.0), (-1.5, 0.5)])
+def test_distances_are_those_of_the_filter(rfilter: str, low: float, high: float) -> None:
+    """Moments of what is drawn between two ends, against sums over the filter."""
+    plugin: Any = djpt.load_dict({"type": rfilter})
+    low, high = max(low, -plugin.radius()), min(high, plugin.radius())
+    distances, ends = Distances(plugin), (djpt.Float(low), djpt.Float(high))
+    u = djpt.Float((np.arange(2**16) + 0.5) / 2**16)
+    drawn = distances.between(*ends, u)
+    weight = np.array(distances.weight(*ends, drawn), np.float64) * np.ones(len(u))
+    place = low + (high - low) * (np.arange(2**16) + 0.5) / 2**16
+    value = np.array(plugin.eval(djpt.Float(place)), np.float64)
+    for power in range(5):
+        expected = np.sum(value * place**power) / np.sum(value)
+        assert np.mean(weight * np.array(drawn, np.float64) ** power) == pytest.approx(expected, abs=2e-3)
 
 
 def test_means_of_jacobians() -> None:

@@ -7,7 +7,8 @@ with the same samples every time. Here one replay adds the derivatives of sample
 
 by one reverse derivative per channel at each vertex. From then on products are sums over tables in memory. A colour of
 a material changes no other channel than its own: tables of what vanishes whatever the ray, which shows while the loop
-is traced, aren't made.
+is traced, aren't made. Where the film filters, pixels have samples of their own
+(`djpt.rendering.gradients.filter_sampling`), and so rows of their own.
 """
 
 from __future__ import annotations
@@ -20,12 +21,14 @@ import drjit as dr
 
 from djpt.core.lookup import Numbers
 from djpt.dispatch.ensemble import TableLeaf
+from djpt.integrators.base import PathIntegrator
 from djpt.jit.kernels import while_loop
 from djpt.jit.llvm.lanes import small_blocks
 from djpt.jit.types import Bool, Color3f, Float, TensorXf, UInt32
 from djpt.rendering.gradients.derivatives import ReplayDerivative, on_grid
-from djpt.rendering.gradients.leaves import Leaves, Tangents
-from djpt.rendering.gradients.modes import Mode, Walk
+from djpt.rendering.gradients.filter_sampling import FilteredJob, own_samples
+from djpt.rendering.gradients.leaves import Leaves, Tangents, components
+from djpt.rendering.gradients.modes import Mode, Sample, Walk
 from djpt.rendering.schedules.flat import Flat
 from djpt.rendering.schedules.job import Band, Job
 from djpt.rendering.schedules.passes import image_of_samples, register_spp
@@ -143,10 +146,13 @@ class Rows(Mode):
         return []
 
     def delta_of(self, slot: UInt32, active: Bool) -> Color3f:
-        return Color3f(0)
+        if not isinstance(self._job, FilteredJob):
+            return Color3f(1)
+        # What a sample counts for.
+        return Color3f(self._job.weight(self._pixel, slot // self._pixels))
 
     def differentiate(self, walk: Walk, leaves: Leaves, outgoing: Color3f, active: Bool) -> tuple[Color3f, list[Float]]:
-        read = self._spaces.read(leaves)
+        read, counts = self._spaces.read(leaves), walk.delta.x * self._inverse
         for channel in range(self._job.channel_count()):
             unit = [Float(i == channel) for i in range(self._job.channel_count())]
             value: Any = dr.dot(outgoing, self._job.color_adjoint(unit))
@@ -155,11 +161,11 @@ class Rows(Mode):
             dr.backward(value, flags=dr.ADFlag.ClearVertices)
             for space, entry, leaf in read:
                 for component, slope in enumerate(components(dr.grad(leaf))):
-                    self._add((space, component, channel), entry, slope, active)
+                    self._add((space, component, channel), entry, slope, counts, active)
             dr.clear_grad([leaf for _, _, leaf in read])
         return walk.delta, walk.sums
 
-    def _add(self, key: Key, entry: UInt32, slope: Float, active: Bool) -> None:
+    def _add(self, key: Key, entry: UInt32, slope: Float, factor: Float, active: Bool) -> None:
         if slope.state == dr.VarState.Literal and not slope[0]:
             return
         entries = self._spaces.entries(key[0])
@@ -169,20 +175,20 @@ class Rows(Mode):
         place = dr.fma(entry, self._pixels, self._pixel)
         # Each lane has rows of its own.
         mode = dr.ReduceMode.NoConflicts
-        dr.scatter_add(self.tables[key], slope * self._inverse, place, inside, mode=mode)
+        dr.scatter_add(self.tables[key], slope * factor, place, inside, mode=mode)
 
     def hand_over(
-        self, job: Job, walk: Walk, finished: Bool, next_slot: UInt32, more: Bool, counts: Bool | bool = True
+        self, job: Job, walk: Sample, finished: Bool, next_slot: UInt32, more: Bool, counts: Bool | bool = True
     ) -> tuple[Color3f, list[Float]]:
-        return walk.delta, walk.sums
+        return dr.select(finished, self.delta_of(next_slot, more), walk.delta), walk.sums
 
 
 def jacobian_of(derivative: Any) -> Jacobian | None:
     """The Jacobian of an image whose derivative is found by replay; None where there is none, or it would be large."""
     if not isinstance(derivative, ReplayDerivative):
         return None
-    job, schedule = derivative.job, derivative.schedule
-    if not isinstance(schedule, Flat) or not schedule.carries_sums(job) or job.film.border:
+    job = own_samples(derivative.job)
+    if job is None or not isinstance(job.integrator, PathIntegrator) or "flat" not in job.integrator.schedules:
         return None
     spaces, rows = Spaces(derivative), list[Rows]()
     colours = sum(spaces.entries(space) for space in range(len(spaces.tables) + 1)) * job.channel_count()
@@ -195,7 +201,7 @@ def jacobian_of(derivative: Any) -> Jacobian | None:
 
     with dr.suspend_grad():
         given = derivative.values, derivative.numbering, Band(0, job.height), 0, job.spp, mode_of
-        _, _, number = schedule.replay(job, *given, shared=False)
+        _, _, number = Flat().replay(job, *given, shared=False)
         tables = rows[-1].tables
         with small_blocks():
             dr.eval(number, tables)
@@ -208,7 +214,8 @@ class KnownDerivative:
     def __init__(self, derivative: ReplayDerivative, jacobian: Jacobian) -> None:
         self.jacobian = jacobian
         """May be replaced by that of other samples."""
-        self._job, self._numbering, self._spaces = derivative.job, derivative.numbering, Spaces(derivative)
+        self._job = replace(derivative.job, spp=1, film=derivative.job.film.unfiltered())
+        self._numbering, self._spaces = derivative.numbering, Spaces(derivative)
         self._pixels = self._job.width * self._job.height
 
     def backward(self, image: TensorXf) -> list[Any]:
@@ -232,7 +239,7 @@ class KnownDerivative:
             for space in sorted({space for space, _, _ in self.jacobian.keys}):
                 channels = self._with_space(space, tangents, changes, pixel, channels)
             dr.eval(channels)
-            return image_of_samples(replace(self._job, spp=1), channels)
+            return image_of_samples(self._job, channels)
 
     def _with_space(
         self, space: int, tangents: list[Any], changes: Tangents, pixel: UInt32, channels: list[Float]
@@ -252,11 +259,6 @@ class KnownDerivative:
         start = dr.zeros(UInt32, self._pixels), channels
         _, found = while_loop(start, lambda entry, sums: entry < entries, body, label="jacobian forward")
         return found
-
-
-def components(value: Any) -> list[Float]:
-    """The components of a number or a vector."""
-    return [value[c] for c in range(len(value))] if dr.depth_v(value) > 1 else [value]
 
 
 def padded(numbers: list[Float]) -> list[Float]:

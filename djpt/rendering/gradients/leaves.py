@@ -9,7 +9,7 @@ gradients are added to the parameters that they were copies of.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -33,6 +33,7 @@ __all__ = [
     "Parameter",
     "Tangents",
     "attached_parameters",
+    "components",
     "motion_parameters",
     "prepare_tables",
     "unused_values",
@@ -256,6 +257,7 @@ class Accumulator:
             if isinstance(leaf, TableLeaf):
                 buffer = values.buffer(leaf)
                 self._tables[id(leaf)] = (leaf, buffer, entry_sums(buffer, lanes))
+        self.has_tables = bool(self._tables)
         self._calls = any(sums.calls for _, _, sums in self._tables.values())
 
     def start(self) -> list[Float]:
@@ -267,18 +269,14 @@ class Accumulator:
         """Add the gradients of all leaves taken at a vertex."""
         sums = list(sums)
         for leaf, slot, value in leaves.taken:
-            gradient = dr.grad(value)
-            components = [gradient[c] for c in range(len(value))] if dr.depth_v(value) > 1 else [gradient]
-            numbers = self._numbering.of(leaf)
+            gradient = components(dr.grad(value))
             if self.in_registers:
-                for number in {n for n in numbers if n is not None}:
-                    mine = is_one_of(slot, [i for i, n in enumerate(numbers) if n == number])
-                    for c, component in enumerate(components):
-                        at = self._starts[number] + c
-                        sums[at] = sums[at] + dr.select(mine, component, 0)
+                for first, mine in self.places(leaf, slot):
+                    for c, component in enumerate(gradient):
+                        sums[first + c] = sums[first + c] + dr.select(mine, component, 0)
             else:
                 start = self._start_of[id(leaf)].at(slot)
-                for c, component in enumerate(components):
+                for c, component in enumerate(gradient):
                     dr.scatter_add(self._memory, component, start + c, active & (start < self.size))
         for place, (_, _, entries) in self._tables.items():
             read = [(address, dr.grad(entry)) for leaf, address, entry in leaves.read if id(leaf) == place]
@@ -286,6 +284,12 @@ class Accumulator:
             if entries.calls:
                 sums[-1] = sums[-1] + dr.select(taken, 1, 0)
         return sums
+
+    def places(self, leaf: Leaf, slot: UInt32) -> Iterator[tuple[int, Bool]]:
+        """The first register sum of each parameter that a leaf may have read, and where it has."""
+        numbers = self._numbering.of(leaf)
+        for number in {n for n in numbers if n is not None}:
+            yield self._starts[number], is_one_of(slot, [i for i, n in enumerate(numbers) if n == number])
 
     def gradients(self, sums: list[Float]) -> list[Any]:
         """The finished gradients, one per parameter, of the parameters' types."""
@@ -312,3 +316,8 @@ class Accumulator:
             if leaf.attribute == parameter.attribute and parameter.owner in leaf.owners:
                 total += buffer.unpacked(sums.total(), id(parameter.owner), shape)
         return type(parameter.value)(total, shape)
+
+
+def components(value: Any) -> list[Float]:
+    """The components of a number or a vector."""
+    return [value[c] for c in range(len(value))] if dr.depth_v(value) > 1 else [value]

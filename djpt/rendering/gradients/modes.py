@@ -20,13 +20,22 @@ from djpt.rendering.schedules.job import Job
 from djpt.rendering.schedules.sinks import Write
 from djpt.scene.scene import Scene
 
-__all__ = ["Adjoint", "Forward", "Mode", "Reverse"]
+__all__ = ["Adjoint", "Forward", "Mode", "Reverse", "Sample"]
 
 Adjoint = Callable[[UInt32, Bool], Color3f]
 """Gives the derivative of the loss with respect to the sample stored at a slot, for active lanes."""
 
 
-class Walk(Protocol):
+class Sample(Protocol):
+    """The state of a lane as far as a mode reads it where a sample ends."""
+
+    slot: UInt32
+    delta: Color3f
+    """Reverse mode: derivative of the loss with respect to the sample. Forward mode: derivative of the sample."""
+    sums: list[Float]
+
+
+class Walk(Sample, Protocol):
     """The state of a lane as far as a mode reads it."""
 
     radiance: Color3f
@@ -34,10 +43,6 @@ class Walk(Protocol):
     behind: Color3f | None
     """Of what is set aside, the light that comes along it, without the factor; None if nothing is set aside."""
     path: PathState
-    slot: UInt32
-    delta: Color3f
-    """Reverse mode: derivative of the loss with respect to the sample. Forward mode: derivative of the sample."""
-    sums: list[Float]
 
     @property
     def again(self) -> Bool:
@@ -96,7 +101,7 @@ class Mode:
         raise NotImplementedError
 
     def hand_over(
-        self, job: Job, walk: Walk, finished: Bool, next_slot: UInt32, more: Bool, counts: Bool | bool = True
+        self, job: Job, walk: Sample, finished: Bool, next_slot: UInt32, more: Bool, counts: Bool | bool = True
     ) -> tuple[Color3f, list[Float]]:
         """Delta and sums after the second walk of the lanes that have `finished`.
 
@@ -134,7 +139,7 @@ class Reverse(Mode):
         return walk.delta, self.accumulator.add(walk.sums, leaves, active)
 
     def hand_over(
-        self, job: Job, walk: Walk, finished: Bool, next_slot: UInt32, more: Bool, counts: Bool | bool = True
+        self, job: Job, walk: Sample, finished: Bool, next_slot: UInt32, more: Bool, counts: Bool | bool = True
     ) -> tuple[Color3f, list[Float]]:
         if self.adjoint is None:
             return walk.delta, walk.sums
@@ -165,7 +170,7 @@ class Forward(Mode):
         return walk.delta + dr.select(active, change, 0), walk.sums
 
     def hand_over(
-        self, job: Job, walk: Walk, finished: Bool, next_slot: UInt32, more: Bool, counts: Bool | bool = True
+        self, job: Job, walk: Sample, finished: Bool, next_slot: UInt32, more: Bool, counts: Bool | bool = True
     ) -> tuple[Color3f, list[Float]]:
         channels, sums = job.tangent_channels(walk.delta), walk.sums
         if self.store is None:
