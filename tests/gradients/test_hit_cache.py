@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.rendering.gradients import hit_cache, replay
+from djpt.rendering.gradients import hit_cache, replay, single_walk
 from tests.kit.mesh_scenes import gallery
 from tests.kit.placed_scenes import instances
 
@@ -53,6 +53,7 @@ def test_gradients_with_and_without_notes(kind: str, tmp_path: Path, monkeypatch
         return for_vertex(cache, *arguments)
 
     monkeypatch.setattr(hit_cache.HitCache, "for_vertex", noticed)
+    monkeypatch.setattr(single_walk, "possible", lambda *arguments: False)
     noted = derivatives(description, names)
     assert bool(pages) == (not djpt.load_dict(description).geometry.stepwise)
     monkeypatch.setattr(replay, "empty_hit_cache", lambda *arguments: ())

@@ -86,7 +86,7 @@ class Flat(Schedule):
         shared: bool = True,
     ) -> tuple[Mode, list[Float], UInt32]:
         """As `Schedule.replay`; if not `shared`, all samples of a pixel are in one lane."""
-        from djpt.rendering.gradients import extinction_walk, replay
+        from djpt.rendering.gradients import extinction_walk, replay, single_walk
 
         if shared:
             lanes = (interleaved if self.carries_sums(job) else layered)(job, band, begin, end)
@@ -97,7 +97,10 @@ class Flat(Schedule):
         # The opaque zero is needed: Dr.Jit turns a gather of all entries in order into a plain load, which
         # would give images of one sample per pixel a kernel of their own.
         slots = dr.arange(UInt32, count) + dr.opaque(UInt32, 0)
-        run = extinction_walk.run if extinction_walk.needed(job.scene, numbering) else replay.run
+        if extinction_walk.needed(job.scene, numbering):
+            run = extinction_walk.run
+        else:
+            run = single_walk.run if single_walk.possible(mode) else replay.run
         return mode, *run(job, values, numbering, lanes, slots, dr.opaque(UInt32, count), mode)
 
 
