@@ -8,6 +8,7 @@ from typing import NamedTuple
 import pytest
 
 import djpt
+from djpt.rendering.gradients import single_walk
 from djpt.scenes.overrides import override
 from djpt.validation.closed_forms import CASES, validate
 from djpt.validation.gradcheck import check_gradient
@@ -217,13 +218,29 @@ DERIVATIVES = (
         "here = v.emitted + arrived",
         "here = v.emitted + dr.detach(arrived)",
     ),
+    (
+        "in one walk, gradient sign",
+        "djpt.rendering.gradients.single_walk:in_reverse",
+        "dr.dot(here, attached)",
+        "-dr.dot(here, attached)",
+    ),
+    (
+        "in one walk, weights not differentiated",
+        "djpt.rendering.gradients.single_walk:in_reverse",
+        "slope * scale[channel]",
+        "0 * slope",
+    ),
 )
 """Faults of derivatives: name, place, text and its replacement."""
 
 
 @pytest.mark.sparse(3)
 @pytest.mark.parametrize(("name", "target", "old", "new"), DERIVATIVES, ids=[row[0] for row in DERIVATIVES])
-def test_faults_of_derivatives_are_caught(name: str, target: str, old: str, new: str) -> None:
+def test_faults_of_derivatives_are_caught(
+    name: str, target: str, old: str, new: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if "single_walk" not in target:
+        monkeypatch.setattr(single_walk, "possible", lambda mode: False)
     scene = override(djpt.cornell_box(), width=8)
     options = {"spp": 64, "seeds": 6, "most_seeds": 6, "mitsuba": False}
     with planted(target, old, new):
