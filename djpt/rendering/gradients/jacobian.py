@@ -24,7 +24,7 @@ from djpt.dispatch.ensemble import TableLeaf
 from djpt.integrators.base import PathIntegrator
 from djpt.jit.kernels import while_loop
 from djpt.jit.llvm.lanes import small_blocks
-from djpt.jit.types import Bool, Color3f, Float, TensorXf, UInt32
+from djpt.jit.types import Array4f, Bool, Color3f, Float, TensorXf, UInt32
 from djpt.rendering.gradients.derivatives import ReplayDerivative, on_grid
 from djpt.rendering.gradients.filter_sampling import FilteredJob, own_samples
 from djpt.rendering.gradients.leaves import Leaves, Tangents, components
@@ -124,6 +124,27 @@ class Spaces:
         return result
 
 
+Slopes = dict[tuple[int, int], Float]
+"""The derivatives of a sample by an entry, by the component of the entry and the channel."""
+
+PACKED = 4
+"""The numbers of a pixel that stand side by side while they are added to: one addition takes a fifth of the time."""
+
+
+@dataclass
+class Pack:
+    """Up to `PACKED` tables, [entry][pixel][table]: what they are, by component and channel, and their memory."""
+
+    keys: list[tuple[int, int]]
+    memory: Float
+
+    def tables(self) -> Iterator[Float]:
+        """The tables, [entry][pixel]."""
+        first = dr.arange(UInt32, dr.width(self.memory) // PACKED) * PACKED
+        for i in range(len(self.keys)):
+            yield dr.gather(Float, self.memory, first + i)
+
+
 class Rows(Mode):
     """Adds the derivatives of the channels of samples to the rows of their pixels.
 
@@ -137,8 +158,8 @@ class Rows(Mode):
     takes_long: ClassVar[bool] = True
 
     def __init__(self, job: Job, spaces: Spaces, pixel: UInt32) -> None:
-        self.tables: dict[Key, Float] = {}
-        """What is added to."""
+        self.packs: dict[int, list[Pack]] = {}
+        """What is added to, by the numbers of spaces."""
         self._job, self._spaces, self._pixel = job, spaces, pixel
         self._pixels, self._inverse = dr.opaque(UInt32, dr.width(pixel)), dr.opaque(Float, 1 / job.spp)
 
@@ -153,29 +174,39 @@ class Rows(Mode):
 
     def differentiate(self, walk: Walk, leaves: Leaves, outgoing: Color3f, active: Bool) -> tuple[Color3f, list[Float]]:
         read, counts = self._spaces.read(leaves), walk.delta.x * self._inverse
+        slopes: list[Slopes] = [{} for _ in read]
         for channel in range(self._job.channel_count()):
             unit = [Float(i == channel) for i in range(self._job.channel_count())]
             value: Any = dr.dot(outgoing, self._job.color_adjoint(unit))
             if not dr.grad_enabled(value):
                 continue
             dr.backward(value, flags=dr.ADFlag.ClearVertices)
-            for space, entry, leaf in read:
+            for (_, _, leaf), found in zip(read, slopes, strict=True):
                 for component, slope in enumerate(components(dr.grad(leaf))):
-                    self._add((space, component, channel), entry, slope, counts, active)
+                    if slope.state != dr.VarState.Literal or slope[0]:
+                        found[component, channel] = slope * counts
             dr.clear_grad([leaf for _, _, leaf in read])
+        for space in {space for space, _, _ in read}:
+            of_space = (found for (number, _, _), found in zip(read, slopes, strict=True) if number == space)
+            self._make(space, sorted(set[tuple[int, int]]().union(*of_space)))
+        for (space, entry, _), found in zip(read, slopes, strict=True):
+            self._add(space, entry, found, active)
         return walk.delta, walk.sums
 
-    def _add(self, key: Key, entry: UInt32, slope: Float, factor: Float, active: Bool) -> None:
-        if slope.state == dr.VarState.Literal and not slope[0]:
-            return
-        entries = self._spaces.entries(key[0])
-        if key not in self.tables:
-            self.tables[key] = dr.zeros(Float, entries * dr.width(self._pixel))
-        inside = active & (entry < dr.opaque(UInt32, entries))
+    def _make(self, space: int, keys: list[tuple[int, int]]) -> None:
+        if space not in self.packs:
+            size = self._spaces.entries(space) * dr.width(self._pixel) * PACKED
+            chunks = [keys[i : i + PACKED] for i in range(0, len(keys), PACKED)]
+            self.packs[space] = [Pack(chunk, dr.zeros(Float, size)) for chunk in chunks]
+
+    def _add(self, space: int, entry: UInt32, slopes: Slopes, active: Bool) -> None:
+        inside = active & (entry < dr.opaque(UInt32, self._spaces.entries(space)))
         place = dr.fma(entry, self._pixels, self._pixel)
-        # Each lane has rows of its own.
-        mode = dr.ReduceMode.NoConflicts
-        dr.scatter_add(self.tables[key], slope * factor, place, inside, mode=mode)
+        for pack in self.packs[space]:
+            values = [slopes.get(key, Float(0)) for key in pack.keys]
+            values += [Float(0)] * (PACKED - len(values))
+            # Each lane has rows of its own.
+            dr.scatter_add(pack.memory, Array4f(*values), place, inside, mode=dr.ReduceMode.NoConflicts)
 
     def hand_over(
         self, job: Job, walk: Sample, finished: Bool, next_slot: UInt32, more: Bool, counts: Bool | bool = True
@@ -202,10 +233,13 @@ def jacobian_of(derivative: Any) -> Jacobian | None:
     with dr.suspend_grad():
         given = derivative.values, derivative.numbering, Band(0, job.height), 0, job.spp, mode_of
         _, _, number = Flat().replay(job, *given, shared=False)
-        tables = rows[-1].tables
+        packs = rows[-1].packs
         with small_blocks():
-            dr.eval(number, tables)
-        return Jacobian(list(tables), list(tables.values()))
+            dr.eval(number, [pack.memory for found in packs.values() for pack in found])
+        keys = [(space, *key) for space, found in packs.items() for pack in found for key in pack.keys]
+        tables = [table for found in packs.values() for pack in found for table in pack.tables()]
+        dr.eval(tables)
+        return Jacobian(keys, tables)
 
 
 class KnownDerivative:

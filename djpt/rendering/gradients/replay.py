@@ -18,6 +18,7 @@ find: that code runs on second walks alone.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -38,7 +39,7 @@ from djpt.rendering.schedules.lanes import Lanes
 from djpt.rendering.schedules.unmasked_loop import run_free
 from djpt.scene.scene import Scene
 
-__all__ = ["run"]
+__all__ = ["MOST", "FirstWalks", "first_walks", "run"]
 
 
 @dataclass
@@ -87,7 +88,7 @@ def run(
     cache = empty_hit_cache(integrator, scene, count)
     known = None
     if mode.takes_long and not cache and job.samples <= MOST:
-        known = first_walks(job, attached, lanes, slots, slot_stride)
+        known = first_walks(job, attached, lanes, slots, slot_stride, lambda path: begun(path, attached))
     radiance, behind = (dr.zeros(Color3f, count), blank(attached, count)) if known is None else known.at(slots, True)
     start = Lane(
         ray=wide(ray, count),
@@ -176,10 +177,18 @@ class FirstLane:
     slot: UInt32
 
 
-def first_walks(job: Job, scene: Scene, lanes: Lanes, slots: UInt32, slot_stride: UInt32) -> FirstWalks:
+def first_walks(
+    job: Job,
+    scene: Scene,
+    lanes: Lanes,
+    slots: UInt32,
+    slot_stride: UInt32,
+    begun: Callable[[PathState], PathState],
+) -> FirstWalks:
     """Follow all samples once.
 
-    `scene` is the view of the second walk: what has derivatives decides where paths go on.
+    `scene` is the view of the second walk: what has derivatives decides where paths go on. `begun` completes the state
+    of a path that begins.
     """
     integrator, count = job.integrator, dr.width(lanes.pixel)
     assert isinstance(integrator, PathIntegrator)
@@ -188,7 +197,7 @@ def first_walks(job: Job, scene: Scene, lanes: Lanes, slots: UInt32, slot_stride
     start = FirstLane(
         ray=wide(ray, count),
         sampler=sampler,
-        path=wide(begun(integrator.begin(job.scene, sampler), scene), count),
+        path=wide(begun(integrator.begin(job.scene, sampler)), count),
         radiance=dr.zeros(Color3f, count),
         behind=blank(scene, count),
         k=wide(lanes.first, count),
@@ -212,7 +221,7 @@ def first_walks(job: Job, scene: Scene, lanes: Lanes, slots: UInt32, slot_stride
             dr.scatter(channel, value, lane.slot, finished)
         k = dr.select(finished, lane.k + lanes.stride, lane.k)
         fresh, camera_ray, _ = job.begin(lanes.pixel, k, x, y)
-        restart = begun(integrator.begin(job.scene, fresh), scene)
+        restart = begun(integrator.begin(job.scene, fresh))
         return FirstLane(
             ray=dr.select(ended, camera_ray, dr.detach(v.ray)),
             sampler=dr.select(ended, fresh, lane.sampler),
