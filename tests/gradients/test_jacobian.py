@@ -129,7 +129,7 @@ def test_colours_have_a_table_for_each_channel_alone() -> None:
         with jacobians_collected() as jacobians:
             djpt.render(scene, params, spp=1)
         (found,) = jacobians.values()
-        assert len(found.tables) == count
+        assert sum(len(pack.keys) for pack in found.packs) == count
 
 
 def test_without_a_jacobian_paths_are_replayed(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -226,5 +226,6 @@ def test_distances_are_those_of_the_filter(rfilter: str, low: float, high: float
 
 
 def test_means_of_jacobians() -> None:
-    first, second = (jacobian.Jacobian([(0, 0, 0)], [djpt.Float(values)]) for values in ([1.0, 2.0], [3.0, 6.0]))
-    assert np.allclose(first.mixed(second, 0.25).tables[0].numpy(), [1.5, 3.0])
+    packs = (jacobian.Pack(0, [(0, 0)], djpt.Float(values)) for values in ([1.0, 2.0], [3.0, 6.0]))
+    first, second = (jacobian.Jacobian([pack]) for pack in packs)
+    assert np.allclose(first.mixed(second, 0.25).packs[0].memory.numpy(), [1.5, 3.0])

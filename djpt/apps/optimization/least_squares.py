@@ -30,9 +30,9 @@ are averaged. When there are as many as may be, steps become shorter, in the end
 
 Products with J need no paths: it is tabulated once a step (`djpt.rendering.gradients.jacobian`), or, where images have
 a graph, that graph is traversed again and again. Of tables there is a mean over the steps, and of r as well: what the
-steps before say of it at this place, r + J (x - x_before), has noise of its own, and is averaged with what is new,
-unless J has changed too much (after Nicolet et al., "Recursive Control Variates for Inverse Rendering", ACM
-Transactions on Graphics 42, 2023, who do so with images).
+steps before say of it at this place, r + J (x - x_before), has noise of its own, and is averaged with what is new, the
+less the more it is off, since J has changed (after Nicolet et al., "Recursive Control Variates for Inverse Rendering",
+ACM Transactions on Graphics 42, 2023, who do so with images).
 
 Of small images most time goes into tracing. With `frozen`, `dr.freeze` does that once for each of five functions: the
 residuals, J, and products with it.
@@ -96,7 +96,7 @@ FELL_MUCH = 0.5
 """The ratio of a loss to that before a step below which the differences of that step serve for the next one."""
 
 LEAST_WEIGHT = 0.1
-"""The least weight of the residuals of a step in their mean with those that the steps before predict."""
+"""The least weight of a step: of its residuals in their mean with those that steps before predict, and of its J."""
 
 SMALL = 1e-3
 """The length of a vector of the basis, relative to the slope's, below which the space holds all that matters."""
@@ -260,8 +260,8 @@ class Problem:
         """The number of the images that steps are judged by, and the residuals by them where a step begins."""
         self.differences: Doubles | None = None
         """The columns of the last step if all are differences and its end was as they said, of this size of images."""
-        self.before: tuple[Linear, Doubles] | None = None
-        """The residuals about the place of the last step, with the mean of J over steps, and that of r - J x."""
+        self.before: tuple[Linear, Doubles, Doubles, int] | None = None
+        """Of the last step: the mean of J over steps, that of r, the place, and the number of steps until then."""
         self.noise = 0.0
         """The mean square of the noise of a residual from one image."""
         self.columns: Doubles | None = None
@@ -382,24 +382,23 @@ class Problem:
     def _averaged(self, x: Doubles, now: Doubles) -> Doubles:
         """The residuals at x, averaged with what those of the steps before predict, as their derivatives are.
 
-        The weight of what is new is that of least error: its own is noise, that of the prediction is the rest of the
-        difference of both.
+        The weight of new residuals is that of least error: their own is noise, that of the prediction is the rest of
+        the difference of both. Derivatives have more noise, and change less: as long as the prediction holds, all steps
+        count the same.
         """
         here = self._linear
-        last, before = self.before or (here, np.zeros(()))
+        last, before, place, steps = self.before or (here, now, x, 0)
         predicting = here.by(last)
         if predicting is None:
             return now
-        offset = now - self.forward(x)
-        if self.before is not None and self.noise:
+        if steps and self.noise:
             self._linear = predicting
-            predicted = before + self.forward(x)
+            predicted = before + self.forward(x - place)
             apart = float(np.mean(np.square(now - predicted)))
             weight = float(np.clip(1 - self.noise / self.images / max(apart, 1e-30), LEAST_WEIGHT, 1))
-            self._linear = here.mixed(last, 1 - weight)
-            offset = weight * offset + (1 - weight) * before
+            self._linear = here.mixed(last, 1 - min(weight, max(1 / (steps + 1), LEAST_WEIGHT)))
             now = weight * now + (1 - weight) * predicted
-        self.before = self._linear, offset
+        self.before = self._linear, now, x, steps + 1
         return now
 
     def _columns(self, x: Doubles, seed: int, entries: Iterable[int]) -> Doubles:

@@ -13,7 +13,7 @@ is traced, aren't made. Where the film filters, pixels have samples of their own
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -38,30 +38,51 @@ __all__ = ["Jacobian", "KnownDerivative", "jacobian_of"]
 LARGEST = 2**24
 """The most numbers of a Jacobian, 64 MiB: to read more takes longer than to replay paths."""
 
-Key = tuple[int, int, int]
-"""Of a table: the number of its space, the component of the space's entries, and the channel of the pixels."""
-
 UNIFORM = 0
 """The number of the space whose entries are the parameters that aren't tables."""
 
 
+PACKED = 4
+"""The numbers of a pixel that stand side by side: one addition of four takes less time than one of one."""
+
+
+@dataclass
+class Pack:
+    """Up to `PACKED` tables, [entry][pixel][table], of derivatives of an image."""
+
+    space: int
+    """The number of the space of entries."""
+    keys: list[tuple[int, int]]
+    """What the tables are: the component of the space's entries, and the channel of the pixels."""
+    memory: Float
+
+    def at(self, place: UInt32) -> Array4f:
+        """The numbers of a pixel in the row of an entry."""
+        found: Array4f = dr.gather(Array4f, self.memory, place)
+        return found
+
+
 @dataclass
 class Jacobian:
-    """The derivatives of an image, as arrays [entry][pixel], a table for each `Key`; all others are 0."""
+    """The derivatives of an image; those that no pack has are 0."""
 
-    keys: list[Key]
-    tables: list[Float]
-
-    def items(self) -> Iterator[tuple[Key, Float]]:
-        """The tables with their keys."""
-        return zip(self.keys, self.tables, strict=True)
+    packs: list[Pack]
 
     def mixed(self, other: Jacobian, share: float) -> Jacobian:
         """The mean with a Jacobian of other samples, which counts for a `share`."""
         one, two = (dr.opaque(Float, number) for number in (1 - share, share))
-        tables = [a * one + b * two for a, b in zip(self.tables, other.tables, strict=True)]
-        dr.eval(tables)
-        return Jacobian(self.keys, tables)
+        pairs = zip(self.packs, other.packs, strict=True)
+        packs = [replace(a, memory=a.memory * one + b.memory * two) for a, b in pairs]
+        dr.eval([pack.memory for pack in packs])
+        return Jacobian(packs)
+
+
+def row_length(pixels: int) -> int:
+    """The pixels of a row, some beyond the last one: an odd number of the processor's lines of 64 bytes.
+
+    The same pixel of many rows is read and written in turn. If it were at multiples of 4 KiB, few would fit in a cache.
+    """
+    return PACKED * (-(-pixels // PACKED) | 1)
 
 
 class Spaces:
@@ -127,23 +148,6 @@ class Spaces:
 Slopes = dict[tuple[int, int], Float]
 """The derivatives of a sample by an entry, by the component of the entry and the channel."""
 
-PACKED = 4
-"""The numbers of a pixel that stand side by side while they are added to: one addition takes a fifth of the time."""
-
-
-@dataclass
-class Pack:
-    """Up to `PACKED` tables, [entry][pixel][table]: what they are, by component and channel, and their memory."""
-
-    keys: list[tuple[int, int]]
-    memory: Float
-
-    def tables(self) -> Iterator[Float]:
-        """The tables, [entry][pixel]."""
-        first = dr.arange(UInt32, dr.width(self.memory) // PACKED) * PACKED
-        for i in range(len(self.keys)):
-            yield dr.gather(Float, self.memory, first + i)
-
 
 class Rows(Mode):
     """Adds the derivatives of the channels of samples to the rows of their pixels.
@@ -162,6 +166,7 @@ class Rows(Mode):
         """What is added to, by the numbers of spaces."""
         self._job, self._spaces, self._pixel = job, spaces, pixel
         self._pixels, self._inverse = dr.opaque(UInt32, dr.width(pixel)), dr.opaque(Float, 1 / job.spp)
+        self._length = row_length(dr.width(pixel))
 
     def start(self) -> list[Float]:
         return []
@@ -195,13 +200,13 @@ class Rows(Mode):
 
     def _make(self, space: int, keys: list[tuple[int, int]]) -> None:
         if space not in self.packs:
-            size = self._spaces.entries(space) * dr.width(self._pixel) * PACKED
+            size = self._spaces.entries(space) * self._length * PACKED
             chunks = [keys[i : i + PACKED] for i in range(0, len(keys), PACKED)]
-            self.packs[space] = [Pack(chunk, dr.zeros(Float, size)) for chunk in chunks]
+            self.packs[space] = [Pack(space, chunk, dr.zeros(Float, size)) for chunk in chunks]
 
     def _add(self, space: int, entry: UInt32, slopes: Slopes, active: Bool) -> None:
         inside = active & (entry < dr.opaque(UInt32, self._spaces.entries(space)))
-        place = dr.fma(entry, self._pixels, self._pixel)
+        place = dr.fma(entry, dr.opaque(UInt32, self._length), self._pixel)
         for pack in self.packs[space]:
             values = [slopes.get(key, Float(0)) for key in pack.keys]
             values += [Float(0)] * (PACKED - len(values))
@@ -233,13 +238,10 @@ def jacobian_of(derivative: Any) -> Jacobian | None:
     with dr.suspend_grad():
         given = derivative.values, derivative.numbering, Band(0, job.height), 0, job.spp, mode_of
         _, _, number = Flat().replay(job, *given, shared=False)
-        packs = rows[-1].packs
+        packs = [pack for of_space in rows[-1].packs.values() for pack in of_space]
         with small_blocks():
-            dr.eval(number, [pack.memory for found in packs.values() for pack in found])
-        keys = [(space, *key) for space, found in packs.items() for pack in found for key in pack.keys]
-        tables = [table for found in packs.values() for pack in found for table in pack.tables()]
-        dr.eval(tables)
-        return Jacobian(keys, tables)
+            dr.eval(number, [pack.memory for pack in packs])
+        return Jacobian(packs)
 
 
 class KnownDerivative:
@@ -251,17 +253,22 @@ class KnownDerivative:
         self._job = replace(derivative.job, spp=1, film=derivative.job.film.unfiltered())
         self._numbering, self._spaces = derivative.numbering, Spaces(derivative)
         self._pixels = self._job.width * self._job.height
+        self._length = row_length(self._pixels)
 
     def backward(self, image: TensorXf) -> list[Any]:
         """The gradients of the parameters, from the derivatives with respect to the pixels (H, W, C)."""
         with dr.suspend_grad():
             adjoints = on_grid(self._job, image)
             products: dict[tuple[int, int], Float] = {}
-            for (space, component, channel), table in self.jacobian.items():
-                # The number of pixels is written into the kernel: to divide by an input takes longer than all else.
-                weight = dr.gather(Float, adjoints[channel], dr.arange(UInt32, dr.width(table)) % self._pixels)
-                products[space, component] = dr.fma(table, weight, products.get((space, component), Float(0)))
-            sums = {column: dr.block_sum(product, self._pixels) for column, product in products.items()}
+            for pack in self.jacobian.packs:
+                place = dr.arange(UInt32, dr.width(pack.memory) // PACKED)
+                # The length is written into the kernel: to divide by an input takes longer than all else.
+                pixel, numbers = place % self._length, pack.at(place)
+                weights = [dr.gather(Float, adjoint, pixel, pixel < self._pixels) for adjoint in adjoints]
+                for i, (component, channel) in enumerate(pack.keys):
+                    column = pack.space, component
+                    products[column] = dr.fma(numbers[i], weights[channel], products.get(column, Float(0)))
+            sums = {column: dr.block_sum(product, self._length) for column, product in products.items()}
             dr.eval(sums)
             return self._spaces.gradients(sums)
 
@@ -270,7 +277,7 @@ class KnownDerivative:
         with dr.suspend_grad():
             changes, pixel = Tangents(self._numbering, tangents), dr.arange(UInt32, self._pixels)
             channels = [dr.zeros(Float, self._pixels) for _ in range(self._job.channel_count())]
-            for space in sorted({space for space, _, _ in self.jacobian.keys}):
+            for space in sorted({pack.space for pack in self.jacobian.packs}):
                 channels = self._with_space(space, tangents, changes, pixel, channels)
             dr.eval(channels)
             return image_of_samples(self._job, channels)
@@ -279,15 +286,16 @@ class KnownDerivative:
         self, space: int, tangents: list[Any], changes: Tangents, pixel: UInt32, channels: list[Float]
     ) -> list[Float]:
         """The changes of channels with those by the entries of a space."""
-        tables = {key: table for key, table in self.jacobian.items() if key[0] == space}
-        entries, pixels = dr.opaque(UInt32, self._spaces.entries(space)), dr.opaque(UInt32, self._pixels)
-
+        packs = [pack for pack in self.jacobian.packs if pack.space == space]
+        entries, length = dr.opaque(UInt32, self._spaces.entries(space)), dr.opaque(UInt32, self._length)
         change_of = self._spaces.changes(space, tangents, changes)
 
         def body(entry: UInt32, sums: list[Float]) -> tuple[UInt32, list[Float]]:
-            change, place, sums = change_of(entry), dr.fma(entry, pixels, pixel), list(sums)
-            for (_, component, channel), table in tables.items():
-                sums[channel] = dr.fma(dr.gather(Float, table, place), change[component], sums[channel])
+            change, place, sums = change_of(entry), dr.fma(entry, length, pixel), list(sums)
+            for pack in packs:
+                numbers = pack.at(place)
+                for i, (component, channel) in enumerate(pack.keys):
+                    sums[channel] = dr.fma(numbers[i], change[component], sums[channel])
             return entry + 1, sums
 
         start = dr.zeros(UInt32, self._pixels), channels
