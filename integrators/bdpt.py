@@ -226,7 +226,7 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
         on = active & vertex.si.is_valid()
         joins = on & vertex.is_smooth()
         flux = subpath.throughput * power
-        light_vertex = LightVertex.at(vertex, dr.detach(flux), subpath.vcm, subpath.vc, subpath.depth)
+        light_vertex = LightVertex.at(vertex, dr.detach(flux), subpath)
         return LightHit(vertex, incoming, subpath, flux, light_vertex, joins, on)
 
     def light_step(self, scene: Scene, camera: Sensor, hit: LightHit, sampler: SampleStream) -> LightStep:
@@ -247,8 +247,8 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
             shown = transmittance(
                 scene, sampler, vertex.ray_to(ds.p), shown, lit, to_emitter=False, through_lights=self.hide_emitters
             )
-            vcm = self.mergeable(scene, subpath.vcm, vertex, None)
-            weight = mis_weight(meeting(vcm, subpath.vc, importance * vertex.cos(ds.d), s.back, self.h))
+            vcm, vc = self.mergeable(scene, subpath, vertex, None, None)
+            weight = mis_weight(meeting(vcm, vc, importance * vertex.cos(ds.d), s.back, self.h))
 
         onward, survives = self.onwards(scene, sampler, hit, s, subpath.depth > self.roulette_from)
         active = hit.active & (onward.depth < self.joined) & survives
@@ -366,7 +366,7 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
         value = subpath.throughput * value * v.flux * sent * falloff
         at_light = pdf * there.cos(d) * falloff
         at_camera = sent_pdf * vertex.cos(d) * falloff
-        by_light = meeting(self.mergeable(scene, v.vcm, there, vertex), v.vc, at_light, sent_back, self.h)
+        by_light = meeting(*self.mergeable(scene, v, there, subpath, vertex), at_light, sent_back, self.h)
         by_camera = meeting(subpath.vcm, subpath.vc, at_camera, pdf_back, self.h)
         fits = subpath.depth + v.depth < self.joined
         way = vertex.ray_to(there.si.offset_p(-d))
@@ -403,13 +403,20 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
         """The subpath up to a vertex that can be joined; further ways to join it add to its numbers: here none."""
         return subpath
 
-    def mergeable(self, scene: Scene, vcm: Float, vertex: PathVertex, before: PathVertex | None) -> Float:
-        """The `vcm` of a light path at a vertex that is joined to another one, or to the lens if that is None.
+    def mergeable(
+        self,
+        scene: Scene,
+        light: Subpath | LightVertex,
+        vertex: PathVertex,
+        camera: Subpath | None,
+        before: PathVertex | None,
+    ) -> tuple[Float, Float]:
+        """The `vcm` and `vc` of a light path at a vertex that is joined to the vertex `before` of a camera path.
 
-        Further ways to join the light path there to a camera path that comes from the other vertex add to it: here
-        none.
+        Where both are None, it is joined to the lens. Further ways to join both paths at vertices of the light path
+        add to the numbers: here none.
         """
-        return vcm
+        return light.vcm, light.vc
 
     def continued(
         self, scene: Scene, subpath: Subpath, vertex: PathVertex, s: Scattering, throughput: Color3f

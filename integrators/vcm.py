@@ -11,7 +11,7 @@ from djpt.core.records import BSDFFlags, Ray3f, has_flag
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
 from djpt.integrators.bdpt import BidirectionalPath
-from djpt.integrators.bidirectional.subpath import Subpath, mis_weight
+from djpt.integrators.bidirectional.subpath import LightVertex, Subpath, mis_weight
 from djpt.integrators.paths.path_vertex import (
     MediumVertex,
     NextVertex,
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 __all__ = ["PhotonPath", "VertexConnectionMerging"]
 
 SHARP = BSDFFlags.DeltaReflection | BSDFFlags.DeltaTransmission | BSDFFlags.Glossy
-"""The lobes behind which camera paths are merged."""
+"""The lobes of sharp surfaces: what is seen by way of them merges camera paths."""
 
 
 @dataclass
@@ -66,15 +66,15 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
     In media that scatter light the photons about a vertex are those of a ball: the density is p sigma_t 4/3 pi r^3 N,
     where the weights know, as those of `bdpt`, no other densities of distances.
 
-    Mergings are of use where nothing else is: a vertex that a camera path has come to from a surface that scatters
-    light into all directions, or from the lens, can be connected to that one, with little noise, at a fraction of the
-    time. So only edges that begin on surfaces with mirrors, glass, or gloss are merged, by default. The vertices of a
-    path decide that, so it is the same for all strategies.
+    Mergings are of use where nothing else is: what the camera sees directly, light paths show to the lens, with little
+    noise, at a fraction of the time. So by default only what it sees by way of mirrors, glass, or gloss is merged:
+    edges that begin on such a surface and have no other vertices before. The vertices of a path decide that, so it
+    is the same for all strategies.
 
     Parameters: those of `bdpt` (without `strategies`) and of all `PhotonMapping` (`photon_count` is 2^16 by
     default); four camera paths have one light path that leaves photons, at most. `merging`: the edges of camera paths
-    that are merged, `glossy` (default) or `everywhere`, as in the literature; the first edge counts among the former
-    with sensors to which light can't be traced.
+    that are merged, `glossy` (default) or `everywhere`, as in the literature; with sensors to which light can't be
+    traced the first edge is one of the former.
 
     I. Georgiev, J. Křivánek, T. Davidovič and P. Slusallek, "Light Transport Simulation with Vertex Connection and
     Merging", 2012; T. Hachisuka, J. Pantaleoni and H. W. Jensen, "A Path Space Extension for Robust Light Transport
@@ -114,43 +114,63 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
         return replace(super().at_camera(scene, camera, ray, inside), merges=Bool(merges))
 
     def is_sharp(self, vertex: PathVertex) -> Bool | bool:
-        """True at vertices behind which camera paths are merged: surfaces with mirrors, glass, or gloss."""
+        """True at surfaces with mirrors, glass, or gloss; if all mergings are wanted, at all vertices."""
         if self.everywhere:
             return True
         sharp = vertex.si.is_valid() & has_flag(vertex.si.bsdf().flags(), SHARP)
         return sharp if vertex.medium_vertex is None else sharp & ~vertex.medium_vertex.inside
 
+    def goes_on_sharp(self, camera: Subpath, vertex: PathVertex) -> Bool | bool:
+        """True where a camera path that goes on from a vertex is merged: this one and all before are sharp."""
+        if self.everywhere:
+            return True
+        assert camera.merges is not None
+        return self.is_sharp(vertex) & (camera.merges | (camera.depth == 1))
+
     def joinable(self, scene: Scene, subpath: Subpath, vertex: PathVertex) -> Subpath:
         """The subpath up to a vertex that can be joined: by connections, whose densities are 1, and by mergings.
 
-        Which mergings there are at the vertex before depends on this one for a light path; for a camera path, those at
-        this vertex depend on the one before.
+        Mergings at vertices of a light path need sharp ones between them and the camera; for a camera path, those at
+        this vertex depend on the ones before.
         """
         if subpath.merging is not None:
-            return replace(subpath, vc=subpath.vc + dr.select(self.is_sharp(vertex), subpath.merging, 0))
+            return replace(subpath, merging=dr.select(self.is_sharp(vertex), subpath.merging, 0))
         assert subpath.merges is not None
         return replace(subpath, vcm=subpath.vcm + dr.select(subpath.merges, self.merging(scene, vertex), 0))
 
-    def mergeable(self, scene: Scene, vcm: Float, vertex: PathVertex, before: PathVertex | None) -> Float:
-        if before is None:
-            return vcm + self.merging(scene, vertex) if self.everywhere else vcm
-        return vcm + dr.select(self.is_sharp(before), self.merging(scene, vertex), 0)
+    def mergeable(
+        self,
+        scene: Scene,
+        light: Subpath | LightVertex,
+        vertex: PathVertex,
+        camera: Subpath | None,
+        before: PathVertex | None,
+    ) -> tuple[Float, Float]:
+        assert light.merging is not None
+        if camera is None or before is None:
+            vcm = light.vcm + self.merging(scene, vertex) if self.everywhere else light.vcm
+            return vcm, light.vc + light.merging
+        merges = self.goes_on_sharp(camera, before)
+        vcm = light.vcm + dr.select(merges, self.merging(scene, vertex), 0)
+        return vcm, light.vc + dr.select(merges, light.merging, 0)
 
     def continued(
         self, scene: Scene, subpath: Subpath, vertex: PathVertex, s: Scattering, throughput: Color3f
     ) -> Subpath:
         onward = super().continued(scene, subpath, vertex, s, throughput)
         if subpath.merging is None:
-            return replace(onward, merges=Bool(self.is_sharp(vertex)))
-        share = self.h(vertex.cos(onward.ray.d) * dr.rcp(s.sample.pdf))
+            return replace(onward, merges=Bool(self.goes_on_sharp(subpath, vertex)))
+        cos = vertex.cos(onward.ray.d)
         delta = has_flag(s.sample.sampled_type, BSDFFlags.Delta)
-        return replace(onward, merging=dr.select(delta, 0, share * self.merging(scene, vertex)))
+        on = subpath.merging * self.h(s.back_of_sample) + self.merging(scene, vertex)
+        share = dr.select(delta, self.h(cos) * subpath.merging, self.h(cos * dr.rcp(s.sample.pdf)) * on)
+        return replace(onward, merging=share)
 
     def merging(self, scene: Scene, vertex: PathVertex) -> Float:
         """The sum of h(density) of all ways to merge paths at a vertex."""
         inside = vertex.medium_vertex
         if inside is None:
-            return self._merging
+            return Float(self._merging)  # a copy, since loops write to their state
         in_medium = self.merging_at(scene, inside.medium, vertex.si.p, inside.inside)
         return dr.select(inside.inside, in_medium, self._merging)
 
@@ -228,7 +248,10 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
         subpath = self.joinable(scene, path.subpath.arrived(vertex, reached.transmittance, self.h), vertex)
         on = vertex.si.is_valid() & (subpath.depth < self.joined)
         flux = subpath.throughput * path.power
-        photon = Photon(vertex.si.p, vertex.si.n, Float(subpath.depth), ray.d, flux, subpath.vcm, subpath.vc)
+        # Camera paths that count it merge there.
+        assert subpath.merging is not None
+        vc = subpath.vc + subpath.merging
+        photon = Photon(vertex.si.p, vertex.si.n, Float(subpath.depth), ray.d, flux, subpath.vcm, vc)
         photon.medium = vertex.medium(NOWHERE)
         store.add(photon, on & vertex.is_smooth() & (dr.max(flux) > 0))
 

@@ -111,7 +111,8 @@ class Subpath:
     zero_weight: Color3f | None = None
     """While derivatives are replayed, the factor of each channel that was set aside, or 1: see `scaled`. Else None."""
     merging: Float | None = None
-    """What merging paths at the vertex where a light path's last edge begins would add to `vc`; None if none merge."""
+    """What mergings at the vertices of a light path would add to `vc`, if a camera path comes to them that merges; None
+    if paths aren't merged."""
     merges: Bool | None = None
     """True if a camera path is merged along its last edge, and at its end; None if paths aren't merged."""
 
@@ -346,20 +347,26 @@ class LightVertex(CompactInteraction):
     flux: Color3f
     vcm: Float
     vc: Float
+    merging: Float
+    """These three are those of the `Subpath`; `merging` is 0 if paths aren't merged."""
     depth: UInt32
 
     @staticmethod
-    def at(path_vertex: PathVertex, flux: Color3f, vcm: Float, vc: Float, depth: UInt32) -> LightVertex:
-        """The vertex where a light path of `depth` edges has arrived with a flux.
-
-        For `vcm` and `vc` see `djpt.integrators.bidirectional.subpath.End`.
-        """
+    def at(path_vertex: PathVertex, flux: Color3f, subpath: Subpath) -> LightVertex:
+        """The vertex where a light path has arrived with a flux."""
         kept = CompactInteraction.fields_of(path_vertex.si)
         kind, medium_vertex = LightVertex, path_vertex.medium_vertex
         if medium_vertex is not None:
             kind = MediumLightVertex
             kept.update(medium=dr.select(medium_vertex.inside, medium_vertex.medium, NOWHERE), back=medium_vertex.wi)
-        vertex: LightVertex = kind.holding(**kept, flux=flux, vcm=vcm, vc=vc, depth=depth)
+        vertex: LightVertex = kind.holding(
+            **kept,
+            flux=flux,
+            vcm=subpath.vcm,
+            vc=subpath.vc,
+            merging=Float(0) if subpath.merging is None else subpath.merging,
+            depth=subpath.depth,
+        )
         return vertex
 
     def vertex(self, scene: Scene) -> PathVertex:

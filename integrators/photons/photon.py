@@ -41,8 +41,8 @@ FOUND = 9
 """The words per photon, at most, that it takes to find its cell: its hash value, its number among those that have it,
 its place in their order, and three for each hash value, of which there are less than two to a photon."""
 
-PER_PATH = 6
-"""The number of photons per path for which memory is allocated at first."""
+PER_PATH, PER_PATH_IN_MEDIA = 6, 8
+"""The numbers of photons per path for which memory is allocated at first, without media and with some."""
 
 NORMAL_DIGITS, EDGES_DIGITS = 8, 16
 """Binary digits of a coordinate of a photon's normal, and of its number of edges: together they make a word."""
@@ -129,7 +129,7 @@ class PhotonStore:
             RenderError: They need more memory than is free.
         """
         self._owner, self._paths, self.weighted, self.in_media = owner, paths, weighted, in_media
-        self._make_room(PER_PATH * paths)
+        self._make_room((PER_PATH_IN_MEDIA if in_media else PER_PATH) * paths)
 
     def _make_room(self, photons: int) -> None:
         require_memory(self._owner, self._paths, self.weighted, photons)

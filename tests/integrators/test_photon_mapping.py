@@ -127,6 +127,19 @@ def test_weights_add_up(heuristic: str, radius: float) -> None:
     assert_close_to_path(box(16), "vcm", 5, heuristic=heuristic, initial_radius=radius, merging="everywhere")
 
 
+def test_weights_add_up_behind_gloss() -> None:
+    """The same random numbers with hardly any mergings and with many: only the weights differ, and the noise."""
+    scene = box(16)
+    for name in ("floor", "back", "large-box", "small-box"):
+        scene[name]["bsdf"] = {"type": "roughconductor", "material": "none", "alpha": 0.35}
+    loaded, keys = djpt.load_dict(scene), {"max_depth": 5, "alpha": 1.0, "photon_count": 20_000, "heuristic": "balance"}
+    few, many = (
+        np.mean([image(loaded, "vcm", 64, seed, initial_radius=radius, **keys).mean() for seed in range(4)])
+        for radius in (1e-5, 0.06)
+    )
+    assert many == pytest.approx(few, rel=0.006)
+
+
 def test_coverage_and_hidden_lamps_are_those_of_path() -> None:
     scene = floor_scene(size=16)
     scene["sensor"]["film"]["pixel_format"] = "rgba"

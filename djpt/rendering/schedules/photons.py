@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -237,9 +238,11 @@ class PhotonSamples(SplattedSamples):
             if self._store is None:
                 assert isinstance(job.integrator, PhotonMapping)
                 self._store = job.integrator.store(job.scene)
-                self._first, self._box = first_radius(job, self._store), None
+                store = self._store
+                found = functools.cache(lambda: first_photons(job, store))
+                self._first, self._box = first_radius(job, store, found), None
                 if job.integrator.looks_in_box(job.scene):
-                    self._box = box_of_photons(job, self._store, self._first)
+                    self._box = box_of_photons(job, store, self._first, found)
             self._looking = None  # its map's memory is that of the next one
             self._looking = trace(job, self._store, self._first, self._box, number)
             self._number = number
@@ -290,8 +293,28 @@ def samples_of_pass(job: Job) -> int:
     return math.ceil(job.integrator.photon_count / (job.integrator.paths_per_sample * job.width * job.height))
 
 
-def first_radius(job: Job, store: PhotonStore) -> float:
-    """The radius of the first pass: that of the integrator, or one that follows from what the sensor sees."""
+def first_photons(job: Job, store: PhotonStore) -> int:
+    """Fill the store with the photons of some light paths, and return their number.
+
+    They are the same whatever the seed is, so that rounds of one image begin alike.
+    """
+    scene, integrator = job.scene, job.integrator
+    assert isinstance(integrator, PhotonMapping)
+    # Where photons lie doesn't depend on a radius.
+    looking = integrator.looking_at(PhotonMap(1.0, integrator.photon_count, scene.lights.brightness))
+    return walk(scene, looking, store, first_paths(integrator), sample_tea_32(dr.opaque(UInt32, APART), UInt32(0))[0])
+
+
+def first_paths(integrator: PhotonMapping) -> int:
+    """The number of light paths of `first_photons`."""
+    return min(integrator.photon_count, FIRST_PATHS)
+
+
+def first_radius(job: Job, store: PhotonStore, found: Callable[[], int]) -> float:
+    """The radius of the first pass: that of the integrator, or one that follows from what the sensor sees.
+
+    `found` calls `first_photons` when it is first called.
+    """
     scene, integrator = job.scene, job.integrator
     assert isinstance(integrator, PhotonMapping)
     if integrator.initial_radius > 0:
@@ -302,22 +325,14 @@ def first_radius(job: Job, store: PhotonStore) -> float:
         low, high = (np.array(corner, np.float64).ravel() for corner in scene.bbox())
         side = float((high - low).max())
         return LARGEST_SIDE * side if 0 < side < np.inf else LARGEST_SIDE
-    # Whatever the seed is: rounds of one image begin alike.
-    paths = min(integrator.photon_count, FIRST_PATHS)
-    looking = integrator.looking_at(PhotonMap(largest, integrator.photon_count, scene.lights.brightness))
-    count = walk(scene, looking, store, paths, sample_tea_32(dr.opaque(UInt32, APART), UInt32(0))[0])
+    paths, count = first_paths(integrator), found()
     wanted = integrator.crowd * paths / integrator.photon_count
     return radius_of_crowd(seen, lambda photons: photons.fill(store, count), paths, wanted)
 
 
-def box_of_photons(job: Job, store: PhotonStore, radius: float) -> Box:
-    """A box that holds most of the photons in media, whatever the seed is: along each axis all but a few."""
-    scene, integrator = job.scene, job.integrator
-    assert isinstance(integrator, PhotonMapping)
-    paths = min(integrator.photon_count, FIRST_PATHS)
-    looking = integrator.looking_at(PhotonMap(radius, integrator.photon_count, scene.lights.brightness))
-    count = walk(scene, looking, store, paths, sample_tea_32(dr.opaque(UInt32, APART), UInt32(0))[0])
-    places = store.places_in_media(count)
+def box_of_photons(job: Job, store: PhotonStore, radius: float, found: Callable[[], int]) -> Box:
+    """A box that holds most of the photons in media: along each axis all but a few. For `found` see `first_radius`."""
+    places = store.places_in_media(found())
     if not len(places):
         return Box.of(np.zeros(3), np.zeros(3))
     low, high = np.quantile(places, (OUTSIDE, 1 - OUTSIDE), axis=0)
