@@ -2,10 +2,10 @@
 
 Mitsuba: path replay (or projective sampling, for what moves) and Adam. Each problem has three learning rates, and for
 each error the fastest counts. djpt: Gauss-Newton steps, diagonal where all derivatives have one sign (`optimize`), else
-damped and taken back (`least_squares`), or Adam, with one setting for each problem. Both start from the same values,
-with the same pictures, rendered by each renderer itself, and the same samples per pixel; `least_squares` begins with
-fewer and ends with more. For what moves it compares images on both sides of each unknown, which need no projective
-sampling.
+damped and taken back (`least_squares`), with one setting for each problem. Both start from the same values, with the
+same pictures, rendered by each renderer itself, and the same samples per pixel; `least_squares` begins with fewer and
+ends with more, and its derivatives of a cloud have four times as many. For what moves it compares images on both sides
+of each unknown, which need no projective sampling.
 
 The error is the mean absolute difference from the true values, relative to that at the start. Seconds are those of the
 processor, of the search alone: kernels are compiled before, and errors aren't timed. There is one thread, since threads
@@ -157,8 +157,6 @@ class Renderer:
 
     def best(self, steps: int) -> Course:
         """djpt's search."""
-        if self.problem.ours == "adam":
-            return self.adam(self.problem.rates[1], steps)
         return self.gauss_newton(steps) if self.problem.ours == "gauss_newton" else self.least_squares(steps)
 
     def gauss_newton(self, steps: int) -> Course:
@@ -194,13 +192,13 @@ class Renderer:
         clock = Clock()
         # Variables of this function, where `dr.freeze` finds their arrays.
         module, scene, target, apply, spp = self.module, self.scene, self.target, problem.apply, problem.spp
-        spp = spp // problem.fewer
+        spp, spp_grad = spp // problem.fewer, problem.derived
 
         def residual(x: Any, seed: Any) -> Any:
             params = module.traverse(scene)
             apply(module, params, x["x"])
             params.update()
-            return module.render(scene, params, spp=spp, seed=seed) - target
+            return module.render(scene, params, spp=spp, seed=seed, spp_grad=spp_grad) - target
 
         def seen(i: int, loss: float, x: Any) -> bool:
             spent = clock.stop()

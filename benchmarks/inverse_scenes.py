@@ -32,7 +32,7 @@ class Problem:
     """Mitsuba's learning rates."""
     bounds: tuple[float, float]
     ours: str
-    """``gauss_newton``, ``least_squares`` or ``adam``."""
+    """``gauss_newton`` or ``least_squares``."""
     keys: tuple[str, ...] = ()
     """For ``gauss_newton``: the parameters that the unknowns are, in their order."""
     spp: int = 8
@@ -44,6 +44,8 @@ class Problem:
     """For ``least_squares``: whether images and derivatives are traced once."""
     fewer: int = 1
     """For ``least_squares``: by what the samples per pixel are divided, of which more images are averaged then."""
+    derived: int = 0
+    """For ``least_squares``: the samples per pixel of derivatives, where these have more noise; 0: as images."""
     views: int = 1
     """The number of sensors whose pictures are compared."""
     seen: Callable[[np.ndarray], np.ndarray] = np.asarray
@@ -501,8 +503,9 @@ def volume() -> Problem:
         "TensorXf",
         (0.02, 0.05, 0.1),
         (0.01, 10.0),
-        "adam",
+        "least_squares",
         spp=16,
+        derived=64,
         size=32,
-        iterations=150,
+        iterations=24,
     )
