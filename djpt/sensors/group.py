@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import operator
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -84,6 +85,8 @@ class SensorGroup(Sensor):
         self._cameras: Ensemble[Sensor] | None = None
         self._motions: MotionTable | None = None
         self._lookup: Attached | Detached = Detached()
+        self._values: list[Any] = []
+        """What `_lookup` has copies of."""
 
     def move_into(self, frame: Frame) -> None:
         self.move_nested(frame)
@@ -128,12 +131,18 @@ class SensorGroup(Sensor):
             if carrier is not None and sensor.shape is None:
                 sensor.shape = placed_apart(carrier)
             sensor.prepare()
+        values = [getattr(sensor, name) for sensor in self.sensors for name in sensor.values]
+        kept = self._cameras is not None and not self.is_attached and not self.moves
+        if kept and all(map(operator.is_, values, self._values)):
+            # To a frozen function new arrays would be a new sensor.
+            return
+        self._values = values
         self._cameras, self._lookup = Ensemble(self.sensors), Detached()
         self._motions = MotionTable(*(keyframes_of(sensor) for sensor in self.sensors)) if self.moves else None
         with dr.resume_grad(when=self.is_attached):
             if self.is_attached:
-                values = {(id(s), name): getattr(s, name) for s in self.sensors for name in s.values}
-                self._lookup = Attached({place: value for place, value in values.items() if dr.grad_enabled(value)})
+                places = {(id(s), name): getattr(s, name) for s in self.sensors for name in s.values}
+                self._lookup = Attached({place: value for place, value in places.items() if dr.grad_enabled(value)})
             self._lookup.prepare(self._cameras.leaves())
 
     # ---- in kernels --------------------------------------------------------------------

@@ -398,3 +398,35 @@ def test_points_of_a_mesh_that_belongs_to_no_scene() -> None:
     sample = djpt.Point2f([0.1, 0.7], [0.2, 0.5])
     dr.make_opaque(sample)
     assert np.allclose(np.array(frozen(mesh, sample)), np.array(mesh.sample_position(0, sample).p))
+
+
+def test_batches_of_sensors_stay_what_they_are() -> None:
+    """A group of sensors looks up their values anew only if one has changed."""
+    description = djpt.cornell_box()
+    view = {**description["sensor"], "film": {"type": "hdrfilm", "width": 8, "height": 8}}
+    other = {**view, "to_world": djpt.ScalarTransform4f().look_at([0.4, 0, 3.8], [0, 0, 0], [0, 1, 0])}
+    film = {"type": "hdrfilm", "width": 16, "height": 8}
+    scene = djpt.load_dict({**description, "sensor": {"type": "batch", "film": film, "left": view, "right": other}})
+
+    @dr.freeze
+    def frozen(scene: djpt.Scene, paint: Any, seed: Any) -> Any:
+        params = djpt.traverse(scene)
+        params["white.reflectance.value"] = paint
+        params.update()
+        return djpt.render(scene, spp=2, seed=seed)
+
+    for seed in range(5):
+        paint = djpt.Color3f(0.1 * (1 + seed))
+        dr.make_opaque(paint)
+        found = frozen(scene, paint, dr.opaque(djpt.UInt32, seed)).numpy()
+    assert frozen.n_recordings == 2
+    assert np.array_equal(found, djpt.render(scene, spp=2, seed=4).numpy())
+
+    def apart() -> float:
+        image = djpt.render(scene, spp=64).numpy()
+        return float(np.abs(image[:, 8:] - image[:, :8]).mean())
+
+    before, params = apart(), djpt.traverse(scene)
+    params["sensor.right.to_world"] = view["to_world"]
+    params.update()
+    assert apart() < 0.5 * before
