@@ -41,8 +41,8 @@ class SunSky(Daylight):
       2010, 7, 10), `hour`, `minute`, `second` (default 15:00:00).
 
     At a given time the sun stands where Mitsuba sees it to a quarter of a degree: there, dates have single precision.
-    Derivatives of images with respect to `sun_direction` lack the change of the sun's light with its angle to surfaces,
-    and the moving edge of the disc: they are refused unless `sun_scale` is 0.
+    The noise of derivatives with respect to `sun_direction` grows like the inverse of `sun_aperture`, see
+    `djpt.emitters.sky.dome.SunDisc.radiance`.
     """
 
     in_any_frame = True

@@ -27,7 +27,7 @@ class EmitterSlopes(Slopes):
         integrator = {"type": "prb", "max_depth": 4, "rr_depth": 1000}
         scene = djpt.load_dict(floor_scene({"light": entry(name)}, size=self.size, integrator=integrator))
         params, rng = djpt.traverse(scene), np.random.default_rng(3)
-        # By the sun's direction only without a sun.
+        # By the sun's direction only without a sun, as its edge is followed by a kernel that has an error.
         left_out = {"light.sun_direction" if entry(name).get("sun_scale", 1) else "light.sun_scale"}
         at, along = {}, {}
         # Of a shape that shines, what the emitter in it has.

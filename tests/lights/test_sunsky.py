@@ -16,7 +16,7 @@ import djpt.emitters
 from djpt.core.transforms import ScalarTransform4f as T
 from djpt.emitters.sky.position import TimeAndPlace
 from djpt.emitters.sky.tables import table
-from djpt.jit.types import Color3f, Point2f, Vector3f
+from djpt.jit.types import Color3f, Float, Point2f, Vector3f
 from djpt.validation import agreement
 from djpt.validation.gradcheck.losses import quotient
 from tests.kit.chi_squared import uniform
@@ -248,6 +248,36 @@ def test_gradient_of_an_image() -> None:
     light = sky(albedo=0.4, to_world=UPRIGHT, sun_direction=[-1, 2, 1.5], sun_scale=0.0)
     found, expected = by_both(djpt.load_dict(floor_scene({"light": light})), "light.albedo.value", 0.05, spp=8)
     assert found == pytest.approx(expected, rel=1e-2)
+
+
+@pytest.mark.parametrize("complex_sun", [False, True])
+def test_light_by_the_direction_of_the_sun(complex_sun: bool) -> None:
+    """The light that falls on a plate, as the sun moves: the edge of its disc moves, too."""
+    light = sky(sun_aperture=40.0, sky_scale=0.0, complex_sun=complex_sun)
+    place = T().look_at([0, 0, 4], [0, 0, 0], [0, 1, 0])
+    film = {"type": "hdrfilm", "width": 8, "height": 8, "rfilter": {"type": "box"}}
+    scene = djpt.load_dict(
+        {
+            "type": "scene",
+            "sensor": {"type": "perspective", "to_world": place, "film": film},
+            "plate": {"type": "rectangle", "to_world": T().scale(9)},
+            "light": light,
+        }
+    )
+    params, theta = djpt.traverse(scene), Float(0)
+    start, across = Vector3f([0.3, 0.5, 0.6]), Vector3f([0.2, -0.1, 0.3])
+
+    def total(x: Float, integrator: str) -> Any:
+        params["light.sun_direction"] = start + across * x
+        params.update()
+        image = djpt.render(scene, params, integrator=djpt.load_dict({"type": integrator, "max_depth": 2}), spp=16384)
+        return dr.mean(image, axis=None)
+
+    dr.enable_grad(theta)
+    dr.set_grad(theta, 1.0)
+    found = float(np.array(dr.forward_to(total(theta, "prb"))).ravel()[0])
+    expected = quotient(lambda x: float(np.array(total(Float(x), "path")).ravel()[0]), 2e-2)
+    assert found == pytest.approx(expected, rel=0.05)
 
 
 def test_colours_of_the_sky() -> None:

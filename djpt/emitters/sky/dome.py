@@ -138,6 +138,8 @@ def curve_position(elevation: Float) -> Float:
 APERTURE = 0.5358
 """The angle in degrees that the sun has in the tables."""
 TRUE_HEIGHT = 1 - math.cos(math.radians(APERTURE) / 2)
+EDGE = 0.5
+"""The outer part of the disc whose light stands for that of its edge in derivatives by the direction of the sun."""
 PARTS, PACKETS, COSINES = 45, 18, 6
 WAVELENGTHS = 467.069280386
 """The factor between averages over the wavelengths of the sun's spectrum and the colours of the sky."""
@@ -224,7 +226,24 @@ class SunDisc(Plugin):
         return centre.to_world(Vector3f(at.x * scale, at.y * scale, 1 - below))
 
     def radiance(self, cos_theta: Float, chord2: Float, active: Bool | bool) -> Color3f:
-        """The radiance on the disc at an angle theta to the zenith, by the squared distance to the centre."""
+        """The radiance on the disc at an angle theta to the zenith, by the squared distance to the centre.
+
+        If that has gradients, the edge of the disc moves: on it, the share s of the disc that lies farther from the
+        centre vanishes, so that the derivative has the term L delta(s) ds. Points of the disc are uniform in s. For
+        delta stands a kernel of the width `EDGE`, without a first moment: its error is of second order.
+        """
+        value = self._radiance(cos_theta, chord2, active)
+        if not dr.grad_enabled(chord2):
+            return value
+        whole = 2 * self.height
+        edge = self._radiance(cos_theta, whole, active) if self.darkening else value
+        share = 1 - chord2 / whole
+        here = dr.detach(share)
+        kernel = dr.select(here < EDGE, (4 - 6 / EDGE * here) / EDGE, 0)
+        attached: Any = dr.replace_grad(value, value + dr.detach(edge) * (kernel * share))  # type: ignore[func-returns-value]
+        return Color3f(attached)
+
+    def _radiance(self, cos_theta: Float, chord2: Float, active: Bool | bool) -> Color3f:
         if not self.darkening:
             return self.color
         elevation = dr.asin(minimum(cos_theta, Float(1)))
