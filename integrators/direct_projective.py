@@ -6,7 +6,7 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.core.records import BSDFContext, BSDFFlags, DirectionSample3f, Interaction3f, Ray3f, TransportMode, has_flag
+from djpt.core.records import BSDFContext, BSDFFlags, DirectionSample3f, Interaction3f, Ray3f, has_flag
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
 from djpt.errors import RenderError
@@ -23,6 +23,7 @@ from djpt.integrators.projective.reattach import (
 from djpt.integrators.projective.splat import keep
 from djpt.integrators.projective.weights import mis_weight
 from djpt.jit.types import Bool, Color3f, Float, Point2f, UInt32
+from djpt.materials.base import eval_pdf_light
 from djpt.shapes.silhouettes.foreground import foreground
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
@@ -142,6 +143,7 @@ class DirectProjectiveIntegrator(PSIntegrator):
             raise RenderError(f"direct_projective: silhouettes are on the first two edges of a path, found {depth}")
         ray = ss.spawn_ray()
         si, active = foreground(scene, scene.silhouette_shapes(), ss, active)
+        active &= ~self.followed_by_lines(scene, ray, si, active)
         if depth == 1:
             behind = scene.ray_intersect(ray, active=active)
             back, front = (point.emitter(scene).eval(point, active) for point in (behind, si))
@@ -172,7 +174,8 @@ class DirectProjectiveIntegrator(PSIntegrator):
         ds, importance = sensor.sample_direction(it, sampler.next_2d(), active)
         active = active & dr.any(importance != 0)
         active = active & ~self.hides(scene, si.spawn_ray_to(ds.p), active)
-        value = si.bsdf().eval(BSDFContext(TransportMode.Importance), si, si.to_local(ds.d), active)
+        to_sensor = si.to_local(ds.d)
+        value = si.bsdf().visit(lambda bsdf: eval_pdf_light(bsdf, si, to_sensor, active)[0], active)
         found = Color3f(dr.select(active, value * importance, 0))
         return found, ds.uv, UInt32(2), active & dr.any(found != 0)
 

@@ -6,7 +6,15 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.core.records import BSDFContext, BSDFFlags, DirectionSample3f, Interaction3f, Ray3f, TransportMode, has_flag
+from djpt.core.records import (
+    BSDFContext,
+    BSDFFlags,
+    DirectionSample3f,
+    Interaction3f,
+    Ray3f,
+    SurfaceInteraction3f,
+    has_flag,
+)
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
 from djpt.integrators.projective.carried_rays import carried_rays, onward_direction
@@ -15,6 +23,7 @@ from djpt.integrators.projective.reattach import attached_light, attached_wi, bs
 from djpt.integrators.projective.weights import mis_weight
 from djpt.jit.kernels import opaque
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.materials.base import eval_pdf_light, sample_light
 from djpt.shapes.silhouettes.foreground import foreground
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
@@ -190,6 +199,7 @@ class PathProjectiveIntegrator(PSIntegrator):
     ) -> tuple[Color3f, Color3f, Bool]:
         ray = ss.spawn_ray()
         si, active = foreground(scene, scene.silhouette_shapes(), ss, active)
+        active &= ~self.followed_by_lines(scene, ray, si, active)
         back = self.shade(scene, sampler, ray, curr_depth, None, active)
         front = self.shade(scene, sampler, ray, curr_depth, si, active)
         return dr.select(active, Color3f(front), 0), dr.select(active, Color3f(back), 0), active
@@ -209,7 +219,6 @@ class PathProjectiveIntegrator(PSIntegrator):
 
     @dr.syntax
     def sample_viewer(self, scene, sensor, ss, max_depth, sampler, active):  # type: ignore[no-untyped-def]
-        ctx = BSDFContext(TransportMode.Importance)
         start = ss.toward_viewer().spawn_ray()
         # The state of loops is an array from the start: what seems constant at first may not stay so.
         zero, longest = dr.opaque(Float, 0, sampler.wavefront_size()), opaque(UInt32(max_depth))
@@ -234,19 +243,31 @@ class PathProjectiveIntegrator(PSIntegrator):
             count += dr.select(connects, UInt32(1), 0)
             # Of all connections of a path one is kept, each with the same probability.
             chosen = connects & (sampler.next_1d() * Float(count) <= 1)
-            value = bsdf.eval(ctx, si, si.to_local(ds.d), chosen)
+            value = reflected(si, si.to_local(ds.d), chosen)
             W = dr.select(chosen, β * value * importance, W)
             place = dr.select(chosen, ds.uv, place)
             found = dr.select(chosen, edges, found)
 
             active &= edges + 1 < longest
-            bs, scattered = bsdf.sample(ctx, si, sampler.next_1d(), sampler.next_2d(), active)
+            bs, scattered = carried_on(si, sampler.next_1d(), sampler.next_2d(), active)
             β = dr.select(active, β * scattered, β)
             active &= dr.any(β != 0)
             onward = si.spawn_ray(si.to_world(bs.wo))
             o, d = Point3f(onward.o), Vector3f(onward.d)
 
         return W * Float(count), place, found, dr.any(W != 0), Ray3f(o_viewer, d_viewer)
+
+
+def reflected(si: SurfaceInteraction3f, wo: Vector3f, active: Bool) -> Color3f:
+    """The factor of what arrives at surfaces and goes on to a viewer: see `djpt.materials.base.eval_pdf_light`."""
+    found: Color3f = si.bsdf().visit(lambda bsdf: eval_pdf_light(bsdf, si, wo, active)[0], active)
+    return found
+
+
+def carried_on(si: SurfaceInteraction3f, lobe: Float, square: Point2f, active: Bool) -> tuple[Any, Color3f]:
+    """A sample of a direction to viewers, and its weight."""
+    found: tuple[Any, Color3f] = si.bsdf().visit(lambda bsdf: sample_light(bsdf, si, lobe, square, active), active)
+    return found
 
 
 register_integrator("prb_projective", PathProjectiveIntegrator)

@@ -156,6 +156,10 @@ class BSDF(Plugin):
         """The shading frame that the BSDF works in, in world space: that of `si` unless the BSDF tilts it."""
         return si.sh_frame
 
+    def has_jumps(self) -> bool:
+        """True if values jump with the place, not only because textures do, or parts of a surface hide others."""
+        return False
+
     def needs_differentials(self) -> bool:
         """False: no BSDF looks at the rays of neighbouring pixels."""
         return False

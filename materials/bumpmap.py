@@ -54,6 +54,10 @@ class BumpMap(PerturbedBSDF):
         self.move_nested(frame)
         self.nested_texture = frame.rescaled(self.nested_texture, 1)
 
+    def has_jumps(self) -> bool:
+        """True: the slopes of interpolated heights change from texel to texel."""
+        return True
+
     def normal(self, si: SurfaceInteraction3f, active: Bool | bool) -> Vector3f:
         n = si.sh_frame.n
         slope = self.nested_texture.eval_1_grad(si, active) * self.scale

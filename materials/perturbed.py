@@ -91,6 +91,11 @@ class PerturbedBSDF(NestingBSDF):
     def components(self) -> tuple[int, ...]:
         return self.nested_bsdf.components()
 
+    def has_jumps(self) -> bool:
+        """Whether light is cut off at the surface's horizon, or a smooth lobe is turned to the other side of it."""
+        smooth = BSDFFlags.DeltaReflection | BSDFFlags.DeltaTransmission
+        return not self.use_shadowing_function or has_flag(self.flags(), smooth)
+
     def at(self, ctx: BSDFContext, si: SurfaceInteraction3f, active: Bool | bool) -> BSDFAtPoint:
         return PerturbedAtPoint(self, ctx, si, active)
 

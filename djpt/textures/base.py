@@ -11,7 +11,7 @@ from djpt.description.plugin import Plugin
 from djpt.description.properties import Allowed, Properties
 from djpt.description.registry import lookup
 from djpt.errors import RenderError
-from djpt.jit.types import Bool, Color3f, Float, Point2f, ScalarArray2i, Vector2f
+from djpt.jit.types import Bool, Color3f, Float, Point2f, ScalarArray2i, UInt32, Vector2f
 
 __all__ = ["Texture", "check_textures", "detail_read"]
 
@@ -52,6 +52,14 @@ class Texture(Plugin):
     def is_spatially_varying(self) -> bool:
         """True if the texture can differ from point to point."""
         return not self.is_constant
+
+    def has_patches(self) -> bool:
+        """True if colours jump along curves that stick to the surface, and divide it into patches."""
+        return False
+
+    def patch(self, si: Any) -> UInt32:
+        """A number for the patch that `si` lies in, another one than on the other side of a jump."""
+        return UInt32(0)
 
     def resolution(self) -> ScalarArray2i:
         """The number of texels along u and v; 1 x 1 for textures without any."""

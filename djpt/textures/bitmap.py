@@ -23,7 +23,7 @@ from djpt.distributions.grids import luminance
 from djpt.errors import SceneError
 from djpt.jit.frozen import recording
 from djpt.jit.kernels import as_float, lerp, maximum, minimum
-from djpt.jit.types import Bool, Color3f, Float, Point2f, ScalarArray2i, UInt32, Vector2f
+from djpt.jit.types import Bool, Color3f, Float, Int32, Point2f, ScalarArray2i, UInt32, Vector2f
 from djpt.textures.texels import WRAP_MODES, as_texels, check_texels, load_texels, mean_texel, numbers_of, wrapped
 from djpt.textures.uv import UVTexture
 
@@ -208,6 +208,16 @@ class Bitmap(UVTexture):
         f00, f10, f01, f11 = (self._scalar(corner) for corner in corners)
         gradient = Vector2f(lerp(f10 - f00, f11 - f01, t), lerp(f01 - f00, f11 - f10, s))
         return self.chain(gradient * self.counts)
+
+    def has_patches(self) -> bool:
+        return self.filter_type == "nearest"
+
+    def patch(self, si: Any) -> UInt32:
+        """The number of the texel; beyond the unit square each repetition has numbers of its own."""
+        if not self.has_patches():
+            return UInt32(0)
+        x, y = (UInt32(Int32(dr.floor(place))) for place in self.uv(si) * self.counts)
+        return x + y * UInt32(0x9E3779B1)
 
     def sample_position(self, sample: Point2f, active: Bool | bool = True) -> tuple[Point2f, Float]:
         """Sample (u, v) by brightness: a cell, then a place in it, uniform or by the tent of bilinear filtering."""

@@ -8,7 +8,7 @@ import drjit as dr
 
 from djpt.description.properties import Allowed, Properties
 from djpt.description.registry import register_texture
-from djpt.jit.types import Bool, Color3f, Float, Vector2f
+from djpt.jit.types import Bool, Color3f, Float, UInt32, Vector2f
 from djpt.textures.uv import UVTexture
 
 __all__ = ["Checkerboard"]
@@ -51,6 +51,12 @@ class Checkerboard(UVTexture):
         even = self._is_even(si)
         one, other = self.color1.eval_1_grad(si, even & active), self.color0.eval_1_grad(si, ~even & active)
         return dr.select(even, one, other)
+
+    def has_patches(self) -> bool:
+        return True
+
+    def patch(self, si: Any) -> UInt32:
+        return dr.select(self._is_even(si), UInt32(0), UInt32(1))
 
     def mean(self) -> Float:
         return 0.5 * (self.color0.mean() + self.color1.mean())

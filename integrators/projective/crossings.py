@@ -88,7 +88,7 @@ def edges_on_lines(
         # An edge within a shape sticks to it, like its outline.
         meet &= a.shape_index != b.shape_index
         counts = apart & (chains.surface(a) != chains.surface(b))
-        counts &= (link > 0) | (meet & lines.meetings) | lines.outlines
+        counts &= (link > 0) | (meet & lines.meetings) | chains.patches.differ(a, b) | lines.outlines
         counts &= lines.depth + link < dr.opaque(UInt32, integrator.max_depth)
         front_first = a.is_valid() & (~b.is_valid() | (a.t <= b.t))
         front, ray = dr.select(front_first, a, b), dr.select(front_first, ray_a, ray_b)

@@ -1,4 +1,4 @@
-"""Edges on the film that no shape knows of: where surfaces meet, and what mirrors and glass show."""
+"""Edges on the film that no shape knows of: where surfaces meet, or textures jump, and what mirrors and glass show."""
 
 from __future__ import annotations
 

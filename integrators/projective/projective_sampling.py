@@ -27,6 +27,7 @@ from djpt.scene.scene import Scene, find_sensor
 from djpt.sensors.base import Sensor
 from djpt.shapes.silhouettes.foreground import toward_viewer
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
+from djpt.textures.patches import Patches, have_patches
 
 __all__ = ["PSIntegrator"]
 
@@ -258,15 +259,16 @@ class PSIntegrator(RBIntegrator):
                     sampler, count = self.prepare(camera, INDIRECT_SEED ^ seed, indirect, self.aov_names())
                 total += self.render_indirect_silhouette(all_edges, camera, sampler, count)
             meetings = self._surfaces_meet(scene, camera)
-            if primary and (meetings or has_mirrors(scene)):
+            lines = meetings or has_mirrors(scene) or have_patches(moving_shapes(scene, camera))
+            if primary and lines:
                 edges = FilmEdges(self, scene, camera, meetings)
                 edges.learn(LINE_SEED ^ seed)
                 sampler, _ = self.prepare(camera, CUT_SEED ^ seed, primary, self.aov_names())
                 value, place, found = edges.estimate(sampler)
                 total += self._splatted(camera, sampler, place, value, found)
-            if indirect and has_mirrors(scene) and not self.direct_light_only and self.max_depth > 2:
+            if indirect and lines and not self.direct_light_only:
                 sampler, _ = self.prepare(camera, PATH_SEED ^ seed, indirect, self.aov_names())
-                value, place, found = path_edges(self, scene, camera, sampler)
+                value, place, found = path_edges(self, scene, camera, sampler, meetings)
                 total += self._splatted(camera, sampler, place, value, found)
         if primary and camera.has_image_circle and camera.lens_moves():
             sampler, _ = self.prepare(camera, CIRCLE_SEED ^ seed, primary, self.aov_names())
@@ -305,9 +307,7 @@ class PSIntegrator(RBIntegrator):
 
     def _surfaces_meet(self, scene: Scene, sensor: Sensor) -> bool:
         """Whether the sensor may see curves in which surfaces meet, and which move."""
-        shapes = scene.shapes()
-        moving = shapes if sensor.attached_names() else scene.silhouette_shapes()
-        return recording() or next(meeting_pairs(shapes, moving), None) is not None
+        return recording() or next(meeting_pairs(scene.shapes(), moving_shapes(scene, sensor)), None) is not None
 
     def render_primarily_visible_silhouette(self, scene: Scene, sensor: Sensor, sampler: Sampler, spp: int) -> TensorXf:
         """The image of the silhouettes that the sensor sees, attached to the parameters of shapes.
@@ -381,6 +381,14 @@ class PSIntegrator(RBIntegrator):
         rays, active = self.sample(**options, δL=None, δaovs=None, state_in=None, project=True)[3]
         return rays, active
 
+    def followed_by_lines(self, scene: Scene, ray: Any, si: SurfaceInteraction3f, active: Bool) -> Bool:
+        """Whether a ray along the edge of a triangle meets, behind `si`, another patch of the same shape.
+
+        Random lines find the edges of patches, also where these are edges of triangles.
+        """
+        patches = Patches(scene.geometry.contents.shapes)
+        return patches.differ(si, scene.ray_intersect(ray, active=active)) if patches else Bool(False)
+
     def radiance_along(
         self, scene: Scene, ray: Any, si: SurfaceInteraction3f, depth: Any, sampler: Sampler, active: Bool
     ) -> Color3f:
@@ -396,6 +404,12 @@ class PSIntegrator(RBIntegrator):
         """The radiance along rays, or from surface points."""
         options = {**modes(dr.ADMode.Primal, scene, sampler, ray), "depth": depth, "active": Bool(active)}
         return Color3f(self.sample(**options, δL=None, δaovs=None, state_in=None, si_shade=si)[0])
+
+
+def moving_shapes(scene: Scene, sensor: Sensor) -> list[Any]:
+    """The shapes whose place in the picture changes: those that move, or all if the sensor does."""
+    shapes: list[Any] = scene.shapes() if sensor.attached_names() else scene.silhouette_shapes()
+    return shapes
 
 
 def lens_points(integrator: PSIntegrator, camera: Sensor, seed: Any, spp: int) -> list[Point2f]:

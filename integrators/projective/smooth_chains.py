@@ -18,6 +18,7 @@ from djpt.integrators.projective.reattach import attached_ray, attached_wi
 from djpt.jit.frozen import recording
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.scene.intersecting_shapes import is_convex
+from djpt.textures.patches import Patches
 
 __all__ = ["MOST_CHAIN_LINKS", "Chains", "random_turns"]
 
@@ -45,13 +46,17 @@ class Chains:
         self._integrator, self.scene, self._from_camera = integrator, scene, from_camera
         self.longest = min(longest, MOST_CHAIN_LINKS)
         shapes = scene.geometry.contents.shapes
+        self.patches = Patches(shapes)
         self._has_edges = UInt32([int(has_edges(shape)) for shape in shapes] if self.longest else [0] * len(shapes))
 
     def surface(self, si: SurfaceInteraction3f) -> UInt32:
-        """A number for the shape that is hit, its side, and, if it has edges, its triangle; 0 for nothing."""
+        """A number for the shape that is hit, its side and patch, and, if it has edges, its triangle; 0 for nothing."""
         valid = si.is_valid()
         edges = valid & (dr.gather(UInt32, self._has_edges, si.shape_index, valid) != 0)
-        return dr.select(edges, side_of(si) + si.prim_index * UInt32(0xC2B2AE35), side_of(si))
+        found = dr.select(edges, side_of(si) + si.prim_index * UInt32(0xC2B2AE35), side_of(si))
+        if not self.patches:
+            return found
+        return dr.select(valid, found + self.patches.number(si) * UInt32(0x27D4EB2F), 0)
 
     def hit(self, ray: Ray3f, link: UInt32 | int, active: Bool) -> SurfaceInteraction3f:
         """Where the ray of a link arrives."""

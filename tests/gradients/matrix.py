@@ -308,7 +308,13 @@ SURFACES: dict[str, Callable[[], Node]] = {
     "diffuse": lambda: {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.8, 0.5, 0.3]}},
     "textured": lambda: {"type": "diffuse", "reflectance": spots()},
     "checkerboard": lambda: {"type": "diffuse", "reflectance": {"type": "checkerboard"}},
+    "texels": lambda: {"type": "diffuse", "reflectance": {**spots(), "filter_type": "nearest"}},
+    "half a texture": lambda: {
+        "type": "diffuse",
+        "reflectance": {**spots(), "to_uv": T().scale([1.5, 1, 1]), "wrap_mode": "mirror"},
+    },
     "rough metal": lambda: {"type": "roughconductor", "alpha": 0.3},
+    "brushed metal": lambda: {"type": "roughconductor", "alpha_u": 0.15, "alpha_v": 0.5},
     "rough glass": lambda: {"type": "roughdielectric", "alpha": 0.3},
     "plastic": lambda: {"type": "plastic"},
     "rough plastic": lambda: {"type": "roughplastic", "alpha": 0.3},
@@ -377,6 +383,43 @@ def moving_surfaces() -> Iterator[Cell]:
             )
 
 
+def meeting_shapes() -> Iterator[Cell]:
+    """Shapes that cut each other or stand on each other, as the camera and other surfaces see them."""
+    sunk = {"type": "sphere", "center": [0.2, 0.1, -0.7], "radius": 0.8, "bsdf": SURFACES["diffuse"]()}
+    standing = {
+        "type": "cube",
+        "to_world": T().translate([0.2, 0.1, -0.4]).rotate([0, 0, 1], 30).scale(0.6),
+        "bsdf": SURFACES["diffuse"](),
+    }
+    lamp = {
+        "type": "sphere",
+        "center": [0.2, 0.1, -0.9],
+        "radius": 0.6,
+        "emitter": {"type": "area", "radiance": 3.0},
+    }
+    for name, node, motions in (
+        ("a ball in the floor", sunk, ("aside", "up")),
+        ("a box on the floor", standing, ("aside",)),
+    ):
+        for motion in motions:
+            for light, integrator in (("lamp", DIRECT), ("lamp", PATHS), ("sky", PATHS)):
+                yield Cell(
+                    "shapes that meet",
+                    f"{name}, {motion}, {light}",
+                    stage(light, body=node),
+                    moved("body.to_world", MOTIONS[motion]),
+                    integrator,
+                )
+    for motion in ("aside", "up"):
+        yield Cell(
+            "shapes that meet",
+            f"a lamp in the floor, {motion}",
+            stage("lamp", body=lamp),
+            moved("body.to_world", MOTIONS[motion]),
+            PATHS,
+        )
+
+
 def moving_receivers() -> Iterator[Cell]:
     """A floor that rises under a shadow."""
     for light in LIGHTS:
@@ -402,6 +445,8 @@ def moving_lights() -> Iterator[Cell]:
         cases[f"a lamp, {shape}"] = ({**node, "to_world": place}, "light.to_world", shift(1, 0.4, 0))
     textured = {"type": "rectangle", "to_world": T().translate([0, 0, 5]).rotate([1, 0, 0], 180)}
     textured["emitter"] = {"type": "area", "radiance": spots()}
+    chequered = {**textured, "emitter": {"type": "area", "radiance": {"type": "checkerboard", "color0": 3.0}}}
+    cases["a lamp with a checkerboard"] = (chequered, "light.to_world", shift(1, 0.4, 0))
     cases["a lamp with a texture"] = (textured, "light.to_world", shift(1, 0.4, 0))
     spot = {"type": "spot", "to_world": down, "intensity": 40.0, "cutoff_angle": 30.0}
     cases["spot, aside"] = (spot, "light.to_world", shift(1, 0.4, 0))
@@ -424,6 +469,26 @@ def moving_lights() -> Iterator[Cell]:
             )
     for integrator in (DIRECT, PATHS):
         yield Cell("a light that moves", "point", stage("point", body=body("sphere", "diffuse")), at_point, integrator)
+
+    for name, more in (
+        ("wide", {"sun_aperture": 20.0}),
+        ("with a dark edge", {"sun_aperture": 20.0, "complex_sun": True}),
+    ):
+        sun = {"type": "sunsky", "sun_direction": [-1, 1.2, 2.2], "sun_scale": 0.3, **more}
+        for integrator in ({"type": "prb", "max_depth": 3}, DIRECT):
+            yield Cell(
+                "a light that moves",
+                f"a sun, {name}",
+                lambda sun=sun: {"floor": FLOOR, "light": sun, "body": body("sphere", "diffuse")()},
+                toward_sun,
+                integrator,
+                spp=8192,
+            )
+
+
+def toward_sun(params: Any, theta: Float) -> None:
+    start = djpt.Vector3f(params["light.sun_direction"])
+    params["light.sun_direction"] = turn((0.48, 0.8, 0.36), 20)(theta).transform_affine(start)
 
 
 def at_point(params: Any, theta: Float) -> None:
@@ -454,6 +519,27 @@ def cameras() -> Iterator[Cell]:
                     integrator,
                     camera=make,
                 )
+
+
+def chequered_floor() -> Node:
+    """A ball on a floor with many fields."""
+    fields = {"type": "checkerboard", "to_uv": T().scale([8, 8, 1]), "color0": 0.8, "color1": 0.1}
+    floor = {**FLOOR, "bsdf": {"type": "diffuse", "reflectance": fields}}
+    return {"floor": floor, "body": body("sphere", "texels")()}
+
+
+def cameras_over_fields() -> Iterator[Cell]:
+    """A camera that moves over a chequered floor."""
+    motions = {"aside": shift(0.5, 0.2, 0), "near": shift(0, 0, 1), "turn": turn((0.6, 0.8, 0), 10)}
+    for name, motion in motions.items():
+        for light, integrator in (("point", DIRECT), ("map", PATHS)):
+            yield Cell(
+                "a camera",
+                f"fields, {name}, {light}",
+                lambda light=light: {**chequered_floor(), **LIGHTS[light]()},
+                moved("sensor.to_world", motion),
+                integrator,
+            )
 
 
 def number_of_camera(key: str) -> Edit:
@@ -538,7 +624,8 @@ def differentiable(nodes: Callable[[], Node], start: str) -> list[str]:
 
 def all_cells() -> dict[str, Cell]:
     """All cells by label."""
-    parts = (moving_shapes, moving_surfaces, moving_receivers, moving_lights, cameras, parameters)
+    shapes = (moving_shapes, moving_surfaces, meeting_shapes, moving_receivers)
+    parts = (*shapes, moving_lights, cameras, cameras_over_fields, parameters)
     return {cell.label: cell for part in parts for cell in part()}
 
 

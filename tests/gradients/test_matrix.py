@@ -34,5 +34,5 @@ def test_the_matrix_is_large_enough() -> None:
 
 
 def test_what_has_no_derivative_is_refused() -> None:
-    outcome = CELLS["a material that moves: checkerboard, sphere, lamp, direct_projective"].measured()
-    assert outcome.verdict == "refused" and "use a bitmap with the filter" in outcome.reason
+    outcome = CELLS["a material that moves: glass, mesh, map, direct_projective"].measured()
+    assert outcome.verdict == "refused" and "'face_normals'" in outcome.reason

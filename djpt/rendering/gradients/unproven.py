@@ -26,7 +26,7 @@ from djpt.scene.intersecting_shapes import between, encloses, is_convex
 from djpt.sensors.orthographic import Orthographic
 from djpt.sensors.projective import Central, ProjectiveCamera
 from djpt.textures.base import textures_in
-from djpt.textures.uv import UVTexture
+from djpt.textures.patches import torn
 
 if TYPE_CHECKING:
     from djpt.integrators.base import Integrator
@@ -139,13 +139,6 @@ def bent_mirrors(rendering: Rendering) -> Iterator[str]:
             yield f"'{shape.id()}' has the BSDF {named(bsdf)}"
 
 
-def open_layers(rendering: Rendering) -> Iterator[str]:
-    """Round shapes without ends that light passes straight through."""
-    for shape, bsdf in rendering.bsdfs() if rendering.movers() else ():
-        if name_of(type(shape)) in ("cylinder", "cone", "paraboloid") and has_flag(bsdf.flags(), BSDFFlags.Null):
-            yield f"'{shape.id()}' has the BSDF {named(bsdf)}"
-
-
 TOLD_APART = {"sphere", "disk", "rectangle", "cylinder", "cone", "paraboloid", "cube", "cuboid", "plane"}
 """The shapes, meshes aside, of which no part stands before another one that is seen from the same side."""
 
@@ -161,52 +154,41 @@ def bodies_in_mirrors(rendering: Rendering) -> Iterator[str]:
 
 
 def bent_normals(rendering: Rendering) -> Iterator[str]:
-    """Moving shapes with a normal map or a bump map."""
+    """Moving shapes with bumps, or with a normal map that cuts off light or bends a mirror."""
     for shape, bsdf in rendering.bsdfs(of_moving=True):
-        if bends_normals(bsdf):
-            yield f"'{shape.id()}' has the BSDF {named(bsdf)}"
+        for nested in nested_bsdfs(bsdf):
+            if nested.has_jumps():
+                yield f"'{shape.id()}' has the BSDF {named(nested)}"
 
 
-def bends_normals(bsdf: Any) -> bool:
-    """Whether a BSDF, or one that is nested in it, works about another normal than the surface's."""
-    from djpt.materials.perturbed import PerturbedBSDF
-
-    nested = (getattr(bsdf, name, None) for name in bsdf.children)
-    return isinstance(bsdf, PerturbedBSDF) or any(
-        bends_normals(child) for child in nested if isinstance(child, Plugin) and child.kind == "bsdf"
-    )
+def nested_bsdfs(bsdf: Any) -> Iterator[Any]:
+    """A BSDF, and all that are nested in it."""
+    yield bsdf
+    for child in (getattr(bsdf, name, None) for name in bsdf.children):
+        if isinstance(child, Plugin) and child.kind == "bsdf":
+            yield from nested_bsdfs(child)
 
 
 def jumping_textures(rendering: Rendering) -> Iterator[str]:
-    """Textures of moving shapes whose colour jumps."""
-    owners = [(s, owner) for s in rendering.passes_by() for owner in (s.bsdf(), s.emitter()) if owner is not None]
-    # What slides through the light of a texture sees its edges.
-    lights = rendering.emitters(EmitterFlags.Delta) if rendering.movers() else ()
-    for thing, owner in (*owners, *((light, light) for light in lights if not light.on_shape)):
-        for texture in textures_in(owner):
-            if name_of(type(texture)) == "checkerboard" or getattr(texture, "filter_type", "") == "nearest":
-                yield f"'{thing.id()}' has the texture {named(texture)}"
-
-
-AROUND = {"sphere": (0,), "cylinder": (0,), "cone": (0,), "paraboloid": (0,), "torus": (0, 1), "disk": (1,)}
-"""The texture coordinates of shapes, 0 for u and 1 for v, that are angles: at 0 they meet the end of a full turn."""
-
-
-def torn_textures(rendering: Rendering) -> Iterator[str]:
-    """Textures around moving shapes that don't go on at the angle 0 as they end after a full turn."""
+    """Textures of lights that jump, where that is seen not only by the camera; and volumes that do."""
     for shape in rendering.passes_by():
-        angles = AROUND.get(name_of(type(shape)) or "", ())
-        for owner in (shape.bsdf(), shape.emitter()) if angles else ():
+        for owner in (shape.bsdf(), shape.emitter()):
             for texture in () if owner is None else textures_in(owner):
-                varies = isinstance(texture, UVTexture) and texture.is_spatially_varying()
-                if varies and not all(closes(texture, axis) for axis in angles):
+                volume = getattr(texture, "volume", None)
+                if getattr(volume, "filter_type", "") == "nearest":
+                    yield f"'{shape.id()}' has the volume {named(volume)}"
+        lamp = shape.emitter()
+        if lamp is not None and lit_by_lamps_alone(rendering.integrator):
+            for texture in textures_in(lamp):
+                if texture.has_patches():
                     yield f"'{shape.id()}' has the texture {named(texture)}"
-
-
-def closes(texture: Any, axis: int) -> bool:
-    """Whether a texture repeats, a whole number of times, as a texture coordinate goes from 0 to 1."""
-    turns = texture.to_uv.matrix[:2, axis]
-    return getattr(texture, "wrap_mode", "repeat") == "repeat" and bool(np.allclose(turns, np.round(turns), atol=1e-5))
+            if list(torn(shape, lamp)):
+                yield f"'{shape.id()}' has the light {named(lamp)}, whose texture doesn't end as it begins"
+    # What slides through the light of a texture sees its edges.
+    for light in rendering.emitters(EmitterFlags.Delta) if rendering.movers() else ():
+        for texture in () if light.on_shape else textures_in(light):
+            if texture.has_patches():
+                yield f"'{light.id()}' has the texture {named(texture)}"
 
 
 def bounded_beams(rendering: Rendering) -> Iterator[str]:
@@ -232,12 +214,17 @@ def direct_light_only(integrator: Any) -> bool:
     return bool(getattr(integrator, "direct_light_only", False) or getattr(integrator, "max_depth", 3) <= 2)
 
 
+def lit_by_lamps_alone(integrator: Any) -> bool:
+    """Whether surfaces are lit, by emitters alone, by an integrator that follows no edges of these in its paths."""
+    return bool(getattr(integrator, "direct_light_only", False)) and integrator.max_depth > 1
+
+
 def intersections(rendering: Rendering) -> Iterator[str]:
-    """Shapes that a moving one cuts or touches, where that is seen not only by the camera."""
-    direct = direct_light_only(rendering.integrator)
-    for shape, other in meeting_pairs(rendering.seen, rendering.passes_by()):
-        if not direct or shape.emitter() is not None or other.emitter() is not None:
-            yield f"'{shape.id()}' and '{other.id()}' intersect or touch"
+    """Lamps that cut or touch another shape, where that is seen not only by the camera."""
+    if lit_by_lamps_alone(rendering.integrator):
+        for shape, other in meeting_pairs(rendering.seen, rendering.passes_by()):
+            if shape.emitter() is not None or other.emitter() is not None:
+                yield f"'{shape.id()}' and '{other.id()}' intersect or touch"
 
 
 def unknown_outlines(rendering: Rendering) -> Iterator[str]:
@@ -345,34 +332,24 @@ CASES: tuple[Case, ...] = (
         bent_mirrors,
     ),
     Case(
-        "`mask` on a `cylinder`, a `cone` or a `paraboloid`",
-        "the outlines of the inner layer aren't all followed",
-        "use a mesh",
-        open_layers,
-    ),
-    Case(
         "smooth mirrors, glass, plastic and `mask` beside a `torus`, a curve or an implicit surface",
         "its parts aren't told apart that hide each other in what smooth surfaces show",
         "use a mesh",
         bodies_in_mirrors,
     ),
     Case(
-        "a normal map or a bump map on a shape that moves",
-        "where normals are bent past the viewer light jumps, and that isn't followed",
-        "use a mesh with the detail in its vertices",
+        "on a shape that moves: a bump map; a normal map on a smooth mirror, glass or plastic, or without "
+        "`use_shadowing_function`",
+        "where slopes change from texel to texel, or bent normals cut off light, it jumps, and that isn't followed",
+        "use a normal map with its defaults on a rough material, or a mesh with the detail in its vertices",
         bent_normals,
     ),
     Case(
-        "a `checkerboard`, or a bitmap with the filter `nearest`, on a shape that moves",
+        "a lamp with a `checkerboard` or another texture that jumps, by 'direct_projective'; a `projector` with one; a "
+        "volume with the filter `nearest` as a texture",
         "the edges between its colours aren't followed",
-        "use a bitmap with the filter 'bilinear'",
+        "use the filter 'bilinear' or 'trilinear', or, for lamps, render with 'prb_projective'",
         jumping_textures,
-    ),
-    Case(
-        "a texture that doesn't end as it begins, around a shape that moves",
-        "the line between its ends isn't followed",
-        "set its 'wrap_mode' to 'repeat', and scale u by whole numbers",
-        torn_textures,
     ),
     Case(
         "a `directionalarea` light, or a `spot` with a sharp edge",
@@ -394,9 +371,9 @@ CASES: tuple[Case, ...] = (
         light_paths,
     ),
     Case(
-        "a moving shape that cuts or touches another one, if one of them shines or paths have more than two edges",
+        "a lamp that cuts or touches another shape, of which one moves, by 'direct_projective'",
         "the curve in which they meet is followed only where the camera sees it",
-        "leave a gap between them, or set 'max_depth' to 2",
+        "leave a gap between them, or render with 'prb_projective'",
         intersections,
         needs_numbers=True,
     ),
@@ -430,14 +407,6 @@ def require_proven(scene: Scene, integrator: Integrator, sensor: Sensor | None =
     """
     if integrator.unproven_gradients:
         return
-    for emitter in scene.emitters():
-        direction = getattr(emitter, "sun_direction", None)
-        if direction is not None and grad_enabled(direction) and shines(emitter):
-            raise refusal(
-                f"'{emitter.id()}.sun_direction' has gradients",
-                f"'{emitter.id()}' has a sun, and the change of its light with the angle to surfaces is left out",
-                "set 'sun_scale' to 0, for the sky alone",
-            )
     rendering = Rendering.of(scene, integrator, sensor)
     movers = rendering.movers() or [emitter for emitter in scene.emitters() if emitter.is_moving()]
     if not movers:
@@ -449,17 +418,6 @@ def require_proven(scene: Scene, integrator: Integrator, sensor: Sensor | None =
         node = next(case.found(rendering), None)
         if node is not None:
             raise refusal(what, f"{node}, and {case.reason}", case.way_out)
-
-
-def grad_enabled(value: Any) -> bool:
-    """Whether a value has gradients, also where these are suspended."""
-    with dr.resume_grad():
-        return bool(dr.grad_enabled(value))
-
-
-def shines(sky: Any) -> bool:
-    """Whether the light of a sky has a sun; True while it can't be known."""
-    return recording() or bool(dr.detach(sky.sun_scale).numpy().any())
 
 
 def refusal(what: str, why: str, way_out: str) -> RenderError:

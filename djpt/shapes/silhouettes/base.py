@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import drjit as dr
 
-from djpt.core.records import DiscontinuityFlags, SurfaceInteraction3f
+from djpt.core.records import BSDFFlags, DiscontinuityFlags, SurfaceInteraction3f, has_flag
 from djpt.jit.types import Bool, Float, Float64, Matrix4f, Normal3f, Point2f, Point3f, UInt32, Vector3f
 from djpt.shapes.silhouettes.moving import attached_place
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
@@ -25,6 +26,7 @@ __all__ = [
     "aligned",
     "away_from",
     "edge_normal",
+    "lets_through",
     "with_gradient",
 ]
 
@@ -84,6 +86,10 @@ class Placement:
         v = p - self.origin
         return Vector3f(*(dr.dot(v, axis) / dr.squared_norm(axis) for axis in (self.x, self.y, self.z)))
 
+    def around(self, p: Point3f) -> Vector3f:
+        """The change of a point per turn about the z axis; `p` is the point of the unit shape."""
+        return Vector3f((self.y * p.x - self.x * p.y) * (2 * math.pi))
+
     def up(self) -> Normal3f:
         """The unit normal of the plane of x and y."""
         return dr.normalize(dr.cross(self.x, self.y))
@@ -99,6 +105,8 @@ class SurfacePoint:
     """The interpolated normal of smooth meshes; else the same."""
     uv: Point2f
     """Texture coordinates."""
+    dp_du: Vector3f
+    """The change of the point per unit of u."""
 
 
 class Silhouette:
@@ -185,6 +193,15 @@ class Silhouette:
     def sample_of(self, **fields: Any) -> SilhouetteSample3f:
         """A sample of this shape, whose number the caller sets."""
         return SilhouetteSample3f(number=UInt32(0), offset=Float(self.offset), **fields)
+
+
+def lets_through(shape: Any) -> bool:
+    """Whether light passes straight through a surface.
+
+    Where it is looked at near its outline, it is then turned to the viewer by the angle `TURN`, so that a ray which
+    passes straight on meets the far side, too.
+    """
+    return has_flag(shape.bsdf().flags(), BSDFFlags.Null)
 
 
 def with_gradient(value: Any, attached: Any) -> Any:

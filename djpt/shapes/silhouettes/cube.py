@@ -228,4 +228,4 @@ class CubeSilhouette(Silhouette):
         n = -n if self.shape.flip_normals else n
         local = [dr.dot(p - place.origin, dual) / volume for dual in duals]
         u, v = (choose(face, [dr.fma(0.5 * axes[k][1], local[axes[k][0]], 0.5) for axes in FACES]) for k in (1, 2))
-        return SurfacePoint(n, n, Point2f(u, v))
+        return SurfacePoint(n, n, Point2f(u, v), choose(face, [columns[a] * (2 * sign) for _, (a, sign), _ in FACES]))

@@ -16,16 +16,18 @@ from djpt.core.warp import (
     turns,
     uniform_sphere_to_square,
 )
-from djpt.jit.types import Bool, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
+from djpt.jit.types import Bool, Float, Normal3f, Point2f, Point3f, UInt32, Vector2f, Vector3f
 from djpt.shapes.silhouettes.base import (
     INSET,
     INTERIOR,
     PERIMETER,
+    TURN,
     Placement,
     Silhouette,
     SurfacePoint,
     away_from,
     edge_normal,
+    lets_through,
 )
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
@@ -156,11 +158,17 @@ class CylinderSilhouette(Silhouette):
     def surface(self, place: Any, p: Point3f, prim_index: UInt32, active: Bool | bool) -> SurfacePoint:
         local = place.along(p)
         n = dr.normalize(p - place.origin - place.z * local.z) * self.shape.side
-        return SurfacePoint(n, n, Point2f(turns(local.y, local.x), local.z))
+        return SurfacePoint(n, n, Point2f(turns(local.y, local.x), local.z), place.around(local))
 
     def foreground(self, ss: SilhouetteSample3f, active: Bool | bool) -> tuple[Point3f, Normal3f]:
         place = self.place()
         p = dr.fma(place.z, INSET * (0.5 - ss.uv.y), ss.p)
+        if lets_through(self.shape):
+            local, d = place.along(p), place.along(place.origin + ss.d)
+            rim, across = Vector2f(local.x, local.y), dr.normalize(Vector2f(d.x, d.y))
+            turned = dr.normalize(rim - across * TURN)
+            x, y = dr.select(ss.discontinuity_type == INTERIOR, turned, rim)
+            p = place.point(Point3f(x, y, local.z))
         return p, self.surface(place, p, ss.prim_index, active).n
 
     def local(self, uv: Point2f) -> Point3f:

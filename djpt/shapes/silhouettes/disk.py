@@ -10,7 +10,7 @@ import drjit as dr
 from djpt.core.records import SurfaceInteraction3f
 from djpt.core.warp import square_to_uniform_sphere, turns, uniform_sphere_to_square
 from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
-from djpt.shapes.silhouettes.base import PERIMETER, away_from
+from djpt.shapes.silhouettes.base import PERIMETER, Placement, away_from
 from djpt.shapes.silhouettes.flat import FlatSilhouette
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
@@ -59,6 +59,9 @@ class DiskSilhouette(FlatSilhouette):
 
     def uv_at(self, x: Float, y: Float) -> Point2f:
         return Point2f(dr.norm(Point2f(x, y)), turns(y, x))
+
+    def along_u(self, place: Placement, x: Float, y: Float) -> Vector3f:
+        return (place.x * x + place.y * y) * dr.rsqrt(dr.fma(x, x, dr.square(y)))
 
     def local(self, uv: Point2f) -> Point3f:
         sin, cos = dr.sincos(2 * math.pi * uv.y)

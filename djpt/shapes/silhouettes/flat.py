@@ -45,8 +45,13 @@ class FlatSilhouette(Silhouette):
 
     def surface(self, place: Any, p: Point3f, prim_index: UInt32, active: Bool | bool) -> SurfacePoint:
         n = aligned(place.up(), self.shape.normal)
-        return SurfacePoint(n, n, self.uv_at(*place.local(p)))
+        x, y = place.local(p)
+        return SurfacePoint(n, n, self.uv_at(x, y), self.along_u(place, x, y))
 
     def uv_at(self, x: Float, y: Float) -> Point2f:
         """The texture coordinates of a point of the unit shape."""
+        raise NotImplementedError
+
+    def along_u(self, place: Placement, x: Float, y: Float) -> Vector3f:
+        """The change of a point of the shape per unit of u."""
         raise NotImplementedError

@@ -59,10 +59,15 @@ def toward_viewer(si: SurfaceInteraction3f, d: Vector3f) -> SurfaceInteraction3f
 
 
 def bent_frame(si: SurfaceInteraction3f, d: Vector3f, side: Float) -> Frame3f:
-    """The shading frame, bent towards a viewer who looks along `d` at one `side`, 1 or -1, if it points away."""
+    """The shading frame, bent towards a viewer who looks along `d` at one `side`, 1 or -1, if it points away.
+
+    Its tangent stays as near as it can, since materials may depend on it.
+    """
     shading = si.sh_frame.n
     cosine = side * dr.dot(shading, d)
     bent = dr.normalize(shading - side * (cosine + LEAST_COSINE) * d)
     away = cosine > -LEAST_COSINE
-    found: Frame3f = dr.select(away, Frame3f.from_normal(bent), si.sh_frame)
+    s = dr.fma(bent, -dr.dot(bent, si.sh_frame.s), si.sh_frame.s)
+    s = dr.select(dr.squared_norm(s) > 1e-6, dr.normalize(s), Frame3f.from_normal(bent).s)
+    found: Frame3f = dr.select(away, Frame3f(s, dr.cross(bent, s), bent), si.sh_frame)
     return found

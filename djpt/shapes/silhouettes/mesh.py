@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 
+from djpt.core.frame import coordinate_system
 from djpt.core.records import BSDFFlags, DiscontinuityFlags, SurfaceInteraction3f, has_flag
 from djpt.core.warp import (
     square_to_uniform_sphere,
@@ -357,7 +358,7 @@ class MeshSilhouette(Silhouette):
         n, weights = plane.up(), plane.local(p)
         n = -n if mesh.flip_normals else n
         shares = (1 - weights[0] - weights[1], *weights)
-        shading, uv = n, Point2f(*weights)
+        shading, uv, dp_du = n, Point2f(*weights), b - a
         corners = mesh.face_indices(prim_index, active)
         if mesh.has_vertex_normals():
             normals = attached_normals(mesh) if dr.grad_enabled(place) else mesh.vertex_normals
@@ -367,7 +368,11 @@ class MeshSilhouette(Silhouette):
         if mesh.has_vertex_texcoords():
             texcoords = [dr.gather(Point2f, mesh.vertex_texcoords, corner, active) for corner in corners]
             uv = sum((w * t for w, t in zip(shares, texcoords, strict=True)), Point2f(0))
-        return SurfacePoint(n, shading, uv)
+            d1, d2 = texcoords[1] - texcoords[0], texcoords[2] - texcoords[0]
+            area = dr.fma(d1.x, d2.y, -d1.y * d2.x)
+            mapped = (d2.y * plane.x - d1.y * plane.y) * dr.rcp(dr.select(area != 0, area, 1))
+            dp_du = dr.select(area != 0, mapped, coordinate_system(plane.up())[0])
+        return SurfacePoint(n, shading, uv, dp_du)
 
 
 def place_of(edge: UInt32, edges: Weights, active: Bool | bool) -> tuple[Float, Float]:

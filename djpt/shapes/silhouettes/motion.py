@@ -9,7 +9,7 @@ import drjit as dr
 
 from djpt.core.frame import Frame3f
 from djpt.core.records import GRAZING, Ray3f, RayFlags, SurfaceInteraction3f
-from djpt.jit.types import Float, Normal3f
+from djpt.jit.types import Float, Normal3f, Vector3f
 from djpt.shapes.silhouettes.base import aligned, with_gradient
 
 __all__ = ["attach"]
@@ -23,8 +23,7 @@ def attach(si: SurfaceInteraction3f, ray: Ray3f, flags: int, moving: Sequence[tu
         t = <n, q - o> / <n, d>,    q: the point that sticks to the surface.
 
     Where d grazes the surface, hits slide without bound; with a cosine below `GRAZING` they stay.
-    With `RayFlags.FollowShape` the hit is q itself. Values stay as they are. Derivatives of dp/du are left out, so the
-    tangent of the shading frame turns with the normal, but not about it.
+    With `RayFlags.FollowShape` the hit is q itself. Values stay as they are. Derivatives of dp/dv are left out.
 
     Args:
         si: the hits.
@@ -34,7 +33,9 @@ def attach(si: SurfaceInteraction3f, ray: Ray3f, flags: int, moving: Sequence[tu
     """
     if flags & RayFlags.DetachShape:
         return si
-    p, n, shading, uv = si.p, Normal3f(si.n), Normal3f(si.sh_frame.n), si.uv
+    p, n, uv, dp_du = si.p, Normal3f(si.n), si.uv, Vector3f(si.dp_du)
+    frame = si.sh_frame
+    shading, s = Normal3f(frame.n), Vector3f(frame.s)
     t = Float(si.t)
     still = dr.detach(si)
     for index, shape in moving:
@@ -56,14 +57,27 @@ def attach(si: SurfaceInteraction3f, ray: Ray3f, flags: int, moving: Sequence[tu
         t = dr.select(mine, with_gradient(still.t, distance), t)
         p = dr.select(mine, with_gradient(still.p, moved), p)
         n = dr.select(mine, with_gradient(still.n, aligned(surface.n, still.n)), n)
-        shading = dr.select(mine, with_gradient(still.sh_frame.n, aligned(surface.shading, still.sh_frame.n)), shading)
+        turned_n = with_gradient(still.sh_frame.n, aligned(surface.shading, still.sh_frame.n))
+        shading = dr.select(mine, turned_n, shading)
+        s = dr.select(mine, with_gradient(still.sh_frame.s, tangent(still.sh_frame.s, turned_n, surface.dp_du)), s)
         uv = dr.select(mine, with_gradient(still.uv, surface.uv), uv)
+        dp_du = dr.select(mine, with_gradient(still.dp_du, surface.dp_du), dp_du)
     valid = si.is_valid()
-    frame = si.sh_frame
-    s = dr.normalize(dr.fma(shading, -dr.dot(shading, still.sh_frame.s), still.sh_frame.s))
     turned = Frame3f(with_gradient(frame.s, s), with_gradient(frame.t, dr.cross(shading, s)), shading)
     result: SurfaceInteraction3f = si.replaced(
-        p=p, n=n, uv=uv, sh_frame=turned, wi=with_gradient(si.wi, dr.select(valid, turned.to_local(-ray.d), -ray.d))
+        p=p,
+        n=n,
+        uv=uv,
+        dp_du=dp_du,
+        sh_frame=turned,
+        wi=with_gradient(si.wi, dr.select(valid, turned.to_local(-ray.d), -ray.d)),
     )
     result.found_at(t, valid)
     return result
+
+
+def tangent(s: Vector3f, n: Normal3f, dp_du: Vector3f) -> Vector3f:
+    """The tangent `s` of a shading frame about `n`, attached to dp/du where that is what it follows, else to `n`."""
+    across = dr.fma(n, -dr.dot(n, dp_du), dp_du)
+    follows = dr.dot(dr.detach(across), s) > 0.99 * dr.norm(dr.detach(across))
+    return dr.normalize(dr.select(follows, across, dr.fma(n, -dr.dot(n, s), s)))

@@ -17,16 +17,18 @@ from djpt.core.warp import (
     turns,
     uniform_sphere_to_square,
 )
-from djpt.jit.types import Bool, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
+from djpt.jit.types import Bool, Float, Normal3f, Point2f, Point3f, UInt32, Vector2f, Vector3f
 from djpt.shapes.silhouettes.base import (
     INSET,
     INTERIOR,
     PERIMETER,
+    TURN,
     Placement,
     Silhouette,
     SurfacePoint,
     away_from,
     edge_normal,
+    lets_through,
 )
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
@@ -210,8 +212,15 @@ class OpenRevolutionSilhouette(Silhouette):
         gradient = self.unit_gradient(local)
         axes = zip((place.x, place.y, place.z), gradient, strict=True)
         n = dr.normalize(sum((axis * (g / dr.squared_norm(axis)) for axis, g in axes), Vector3f(0))) * self.shape.side
-        return SurfacePoint(n, n, Point2f(turns(local.y, local.x), dr.norm(Point2f(local.x, local.y))))
+        uv = Point2f(turns(local.y, local.x), dr.norm(Point2f(local.x, local.y)))
+        return SurfacePoint(n, n, uv, place.around(local))
 
     def foreground(self, ss: SilhouetteSample3f, active: Bool | bool) -> tuple[Point3f, Normal3f]:
         uv = Point2f(ss.uv.x, dr.fma(INSET, 0.5 - ss.uv.y, ss.uv.y))
+        if lets_through(self.shape):
+            place = self.place()
+            local, d = place.along(self._at(uv)), place.along(place.origin + ss.d)
+            x, y = Vector2f(local.x, local.y) - dr.normalize(Vector2f(d.x, d.y)) * TURN
+            turned = Point2f(turns(y, x), dr.minimum(dr.norm(Point2f(x, y)), 1 - INSET))
+            uv = dr.select(ss.discontinuity_type == INTERIOR, turned, uv)
         return self._at(uv), self.bend(uv).n * self.shape.side

@@ -10,7 +10,7 @@ import drjit as dr
 from djpt.core.records import SurfaceInteraction3f
 from djpt.core.warp import square_to_uniform_sphere, uniform_sphere_to_square
 from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector2f, Vector3f
-from djpt.shapes.silhouettes.base import PERIMETER, away_from
+from djpt.shapes.silhouettes.base import PERIMETER, Placement, away_from
 from djpt.shapes.silhouettes.flat import FlatSilhouette
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
@@ -87,6 +87,9 @@ class RectangleSilhouette(FlatSilhouette):
 
     def uv_at(self, x: Float, y: Float) -> Point2f:
         return Point2f(dr.fma(0.5, x, 0.5), dr.fma(0.5, y, 0.5))
+
+    def along_u(self, place: Placement, x: Float, y: Float) -> Vector3f:
+        return 2 * place.x
 
     def local(self, uv: Point2f) -> Point3f:
         return Point3f(dr.fma(2, uv.x, -1), dr.fma(2, uv.y, -1), 0)

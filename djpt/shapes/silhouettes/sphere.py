@@ -8,10 +8,10 @@ from typing import Any
 import drjit as dr
 
 from djpt.core.frame import coordinate_system
-from djpt.core.records import BSDFFlags, SurfaceInteraction3f, has_flag
+from djpt.core.records import SurfaceInteraction3f
 from djpt.core.warp import interval_to_tangent_direction, tangent_direction_to_interval, turns, uniform_sphere_to_square
 from djpt.jit.types import Bool, Float, Normal3f, Point2f, Point3f, UInt32
-from djpt.shapes.silhouettes.base import INTERIOR, TURN, Placement, Silhouette, SurfacePoint
+from djpt.shapes.silhouettes.base import INTERIOR, TURN, Placement, Silhouette, SurfacePoint, lets_through
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
 __all__ = ["SphereSilhouette"]
@@ -96,13 +96,13 @@ class SphereSilhouette(Silhouette):
         n = -n if self.shape.flip_normals else n
         local = place.along(p)
         turn = turns(local.y, local.x)
-        return SurfacePoint(n, n, Point2f(turn, dr.safe_acos(local.z * dr.rsqrt(dr.squared_norm(local))) / math.pi))
+        uv = Point2f(turn, dr.safe_acos(local.z * dr.rsqrt(dr.squared_norm(local))) / math.pi)
+        return SurfacePoint(n, n, uv, place.around(local))
 
     def foreground(self, ss: SilhouetteSample3f, active: Bool | bool) -> tuple[Point3f, Normal3f]:
         shape = self.shape
-        if not has_flag(shape.bsdf().flags(), BSDFFlags.Null):
+        if not lets_through(shape):
             return ss.p, self.surface(self.place(), ss.p, ss.prim_index, active).n
-        # Turned to the viewer, so that a ray which passes straight on meets the far side, too.
         n = dr.normalize(ss.p - shape.center - ss.d * (TURN * shape.radius))
         p = dr.fma(n, shape.radius, shape.center)
         return p, self.surface(self.place(), p, ss.prim_index, active).n

@@ -8,10 +8,10 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.core.records import BSDFFlags, SurfaceInteraction3f, has_flag
+from djpt.core.records import SurfaceInteraction3f
 from djpt.core.warp import interval_to_tangent_direction, tangent_direction_to_interval, turns
 from djpt.jit.types import Bool, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
-from djpt.shapes.silhouettes.base import INTERIOR, TURN, Placement, Silhouette, SurfacePoint
+from djpt.shapes.silhouettes.base import INTERIOR, TURN, Placement, Silhouette, SurfacePoint, lets_through
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
 __all__ = ["TorusSilhouette"]
@@ -215,7 +215,7 @@ class TorusSilhouette(Silhouette):
         from_ring = local - self._ring(local)
         n = dr.normalize((duals[0] * from_ring.x + duals[1] * from_ring.y + duals[2] * from_ring.z) * scale)
         n = -n if self.shape.flip_normals else n
-        return SurfacePoint(Normal3f(n), Normal3f(n), self.shape.local_uv(local))
+        return SurfacePoint(Normal3f(n), Normal3f(n), self.shape.local_uv(local), place.around(local))
 
     def _ring(self, local: Point3f) -> Vector3f:
         """The point of the tube's middle that is closest to a local point."""
@@ -225,8 +225,7 @@ class TorusSilhouette(Silhouette):
     def foreground(self, ss: SilhouetteSample3f, active: Bool | bool) -> tuple[Point3f, Normal3f]:
         shape = self.shape
         p = Point3f(ss.p)
-        if has_flag(shape.bsdf().flags(), BSDFFlags.Null):
-            # Turned to the viewer, so that a ray which passes straight on meets the far side, too.
+        if lets_through(shape):
             local = shape.local_point(ss.p) - dr.normalize(shape.to_local(ss.d)) * (TURN * shape.minor)
             ring = self._ring(local)
             local = dr.fma(dr.normalize(local - ring), shape.minor, ring)
