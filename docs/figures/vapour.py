@@ -33,7 +33,7 @@ def drink() -> None:
 
 def sunbeams() -> None:
     """A room with a window that the sun shines through."""
-    draw("sunbeams", sunbeams_scene(), 384)
+    draw("sunbeams", sunbeams_scene(), 2048)
 
 
 def candles() -> None:

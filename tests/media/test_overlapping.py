@@ -11,6 +11,7 @@ import pytest
 import djpt
 from djpt import ScalarTransform4f as T
 from djpt.errors import RenderError, SceneError
+from djpt.jit.types import UInt32
 from djpt.scene.surroundings import index_around
 from tests.kit.media_scenes import colour
 
@@ -102,6 +103,22 @@ def test_slabs_that_overlap_pass_what_layers_do(wins: str, angle: float, integra
     # The interface that isn't between air and water or glass matters.
     wrong = stack(np.cos(np.radians(angle)), [GLASS, AIR, WATER], [1 - border, 0, border + 1], [0.1, 0, 0.3])
     assert abs(image.mean() - wrong) > 8 * error
+
+
+def test_edits_and_frozen_functions_know_the_indices() -> None:
+    scene = {**beam(0.0), "water": slab(-1, 0.4, interface(WATER), priority=0.0), "integrator": {"type": "path"}}
+    scene["glass"] = slab(0, 1, interface(GLASS), priority=0.5)
+    loaded = djpt.load_dict({"type": "scene", **scene})
+    render = dr.freeze(lambda scene, seed: djpt.render(scene, spp=1024, seed=seed))
+    params = djpt.traverse(loaded)
+    for index in (GLASS, 2.4):
+        params["glass.bsdf.eta"] = index
+        params.update()
+        expected = stack(1.0, [index, WATER], [1, 1], [0, 0])
+        for seed in (0, 1):
+            image = np.array(render(loaded, dr.opaque(UInt32, seed)), np.float64)
+            error = image[..., 0].std() / np.sqrt(image[..., 0].size)
+            assert abs(image.mean() - expected) < 4 * error + 1e-4
 
 
 def lit(**bodies: Any) -> dict[str, Any]:
