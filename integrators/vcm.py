@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -28,7 +30,13 @@ from djpt.integrators.photons import (
     inverse_coverage,
     inverse_coverage_in_medium,
 )
-from djpt.integrators.photons.photon_mapping import PhotonMapping, over_cosine, over_scattering, scattering_at
+from djpt.integrators.photons.photon_mapping import (
+    PhotonMapping,
+    is_sharp,
+    over_cosine,
+    over_scattering,
+    scattering_at,
+)
 from djpt.integrators.termination import roulette
 from djpt.jit.types import Bool, Color3f, Float, Point3f, UInt32
 from djpt.samplers.base import SampleStream
@@ -39,8 +47,8 @@ if TYPE_CHECKING:
 
 __all__ = ["PhotonPath", "VertexConnectionMerging"]
 
-SHARP = BSDFFlags.DeltaReflection | BSDFFlags.DeltaTransmission | BSDFFlags.Glossy
-"""The lobes of sharp surfaces: what is seen by way of them merges camera paths."""
+PATHS_PER_SAMPLE = (1 / 16, 1.0)
+"""The fewest and the most light paths of a pass for each of its camera paths."""
 
 
 @dataclass
@@ -72,7 +80,8 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
     is the same for all strategies.
 
     Parameters: those of `bdpt` (without `strategies`) and of all `PhotonMapping` (`photon_count` is 2^16 by
-    default); four camera paths have one light path that leaves photons, at most. `merging`: the edges of camera paths
+    default); there are about as many light paths that leave photons as camera paths that are merged, at least one for
+    sixteen of all. `merging`: the edges of camera paths
     that are merged, `glossy` (default) or `everywhere`, as in the literature; with sensors to which light can't be
     traced the first edge is one of the former.
 
@@ -83,7 +92,7 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
 
     pure = True
     # Each camera path has a light path of its own besides: photons are for what can't be connected.
-    paths_per_sample = 1 / 4
+    paths_per_sample = 1 / 4  # where all are merged
     default_photon_count = 2**16
     crowd = 4.0
     weighs_photons = True
@@ -94,6 +103,13 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
             raise props.error("strategies", "isn't possible with photons; possible with: bdpt")
         self.everywhere = props.string("merging", "glossy", choices=("glossy", "everywhere")) == "everywhere"
         self._merging = self._merging_in_media = Float(0)
+
+    def paths_for(self, sharp_fraction: Callable[[], float]) -> float:
+        """As many light paths as camera paths that are merged, to a power of two; a fixed fraction if all are."""
+        if self.everywhere:
+            return self.paths_per_sample
+        least, most = PATHS_PER_SAMPLE
+        return min(most, 2.0 ** round(math.log2(max(least, sharp_fraction()))))
 
     def looking_at(self, photons: PhotonMap) -> VertexConnectionMerging:
         integrator = super().looking_at(photons)
@@ -117,7 +133,7 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
         """True at surfaces with mirrors, glass, or gloss; if all mergings are wanted, at all vertices."""
         if self.everywhere:
             return True
-        sharp = vertex.si.is_valid() & has_flag(vertex.si.bsdf().flags(), SHARP)
+        sharp = is_sharp(vertex.si)
         return sharp if vertex.medium_vertex is None else sharp & ~vertex.medium_vertex.inside
 
     def goes_on_sharp(self, camera: Subpath, vertex: PathVertex) -> Bool | bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import drjit as dr
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from djpt.scene.scene import Scene
     from djpt.sensors.base import Sensor
 
-__all__ = ["PhotonMapping", "over_cosine", "over_scattering", "scattering_at", "scatters"]
+__all__ = ["PhotonMapping", "is_sharp", "over_cosine", "over_scattering", "scattering_at", "scatters"]
 
 MOST_PATHS = 2**26
 """The maximum number of light paths of a pass."""
@@ -107,6 +108,13 @@ class PhotonMapping(SplattingIntegrator):
         """The radius of the pass `number` = 0, 1, .. of an image, from its `first` radius."""
         return first * (number + 1) ** ((self.alpha - 1) / 2)
 
+    def paths_for(self, sharp_fraction: Callable[[], float]) -> float:
+        """The light paths of a pass for each of its camera paths, at most.
+
+        `sharp_fraction` finds out what fraction of camera rays sees by way of mirrors, glass or gloss.
+        """
+        return self.paths_per_sample
+
     def store(self, scene: Scene) -> PhotonStore:
         """Memory for the photons of a pass."""
         return PhotonStore(self.id(), self.photon_count, self.weighs_photons, scene.media.scatter)
@@ -164,6 +172,15 @@ def scatters(si: SurfaceInteraction3f) -> Bool:
     """True where the BSDF at a surface point has lobes that aren't delta functions: photons are of use there."""
     found: Bool = has_flag(si.bsdf().flags(), BSDFFlags.Smooth)
     return found
+
+
+SHARP = BSDFFlags.DeltaReflection | BSDFFlags.DeltaTransmission | BSDFFlags.Glossy
+"""The lobes of sharp surfaces."""
+
+
+def is_sharp(si: SurfaceInteraction3f) -> Bool:
+    """True on surfaces with mirrors, glass, or gloss."""
+    return si.is_valid() & has_flag(si.bsdf().flags(), SHARP)
 
 
 def over_cosine(value: Color3f, si: SurfaceInteraction3f, photon: Photon) -> Color3f:

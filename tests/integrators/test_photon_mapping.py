@@ -276,6 +276,20 @@ def test_light_paths_of_no_pass_are_wasted(kind: str, passes: int, monkeypatch: 
     assert numbers == set(range(passes))
 
 
+@pytest.mark.parametrize(("name", "passes"), [("lamp_behind_pane", 4), ("cornell_box", 1)])
+def test_as_many_light_paths_as_camera_paths_that_merge(
+    name: str, passes: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All that look through the pane, so 256 samples of 16 x 16 pixels have 2^16; of the box a sixteenth."""
+    numbers: set[int] = set()
+    plugin = djpt.load_dict({"type": "vcm", "max_depth": 4})
+    monkeypatch.setattr(type(plugin), "radius", lambda self, first, number: numbers.add(number) or first)
+    scene = djpt.scenes.SCENES[name]()
+    scene["sensor"]["film"].update(width=16, height=16)
+    djpt.render(djpt.load_dict(scene), integrator=plugin, spp=1024)
+    assert numbers == set(range(passes))
+
+
 def test_edges_are_not_dark() -> None:
     """Half of the disk about a point near a wall holds no photons: with a wide one that is several per cent."""
     scene = djpt.load_dict(box(16))

@@ -15,7 +15,7 @@ from djpt.core.records import BSDFContext, Ray3f
 from djpt.films.footprint import Splats
 from djpt.integrators.photons import PhotonMap, PhotonStore
 from djpt.integrators.photons.cells import Box
-from djpt.integrators.photons.photon_mapping import PhotonMapping, scatters
+from djpt.integrators.photons.photon_mapping import PhotonMapping, is_sharp, scatters
 from djpt.jit.kernels import loop_traced_once, wide
 from djpt.jit.llvm.lanes import small_blocks
 from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, UInt32
@@ -67,6 +67,12 @@ class Seen:
     """The distance to the camera ray of the next column after a path of the same length, mirrors aside."""
     there: Bool
     """False where a ray leads to no such point."""
+    sharp: Bool
+    """True where a mirror, glass or gloss is on the way, or at its end."""
+
+    def sharp_fraction(self) -> float:
+        """The fraction of the rays that see by way of mirrors, glass or gloss."""
+        return float(np.array(self.sharp).mean())
 
     def largest_radius(self) -> float:
         """The largest radius for these points; 0 if there are none."""
@@ -92,7 +98,7 @@ def seen_from(job: Job) -> Seen:
     """The points that the sensor of a job sees, at equal steps over the picture."""
     scene = job.scene
     ray, sampler, beside = camera_rays(job)
-    nothing = Seen(Point3f(0), Normal3f(0, 0, 1), Float(0), Float(0), Bool(False))
+    nothing = Seen(Point3f(0), Normal3f(0, 0, 1), Float(0), Float(0), Bool(False), Bool(False))
     state = wide(Look(ray, sampler, nothing, Bool(True), UInt32(0)), SIDE * SIDE)
 
     def body(look: Look) -> tuple[Look]:
@@ -100,13 +106,14 @@ def seen_from(job: Job) -> Seen:
         on = look.active & si.is_valid()
         distance = look.seen.distance + dr.select(on, si.t, 0)
         ends = on & scatters(si)
-        seen = Seen(si.p, si.n, distance, Float(0), ends)
+        sharp = look.seen.sharp | (on & is_sharp(si))
+        seen = Seen(si.p, si.n, distance, Float(0), ends, sharp)
         bs, _ = si.bsdf().sample(BSDFContext(), si, look.sampler.next_1d(), look.sampler.next_2d(), on)
         return (
             Look(
                 ray=si.spawn_ray(si.to_world(bs.wo)),
                 sampler=look.sampler,
-                seen=dr.select(ends, seen, replace(look.seen, distance=distance)),
+                seen=dr.select(ends, seen, replace(look.seen, distance=distance, sharp=sharp)),
                 active=on & ~ends & (bs.pdf > 0) & (look.edges + 1 < MOST_EDGES),
                 edges=look.edges + 1,
             ),
@@ -210,12 +217,29 @@ class PhotonSamples(SplattedSamples):
         self._box: Box | None = None
         self._number = -1
         self._looking: PhotonMapping | None = None
+        self._seen: Seen | None = None
+        self._size = 0
 
     def passes(self, job: Job) -> tuple[int, int]:
-        return job.width * job.height, samples_of_pass(job)
+        return job.width * job.height, self.size(job)
+
+    def seen(self, job: Job) -> Seen:
+        """What the sensor sees, found out once."""
+        if self._seen is None:
+            self._seen = seen_from(job)
+        return self._seen
+
+    def size(self, job: Job) -> int:
+        """The samples per pixel of a pass: as few as give each camera path the integrator's light paths, at most."""
+        if not self._size:
+            integrator = job.integrator
+            assert isinstance(integrator, PhotonMapping)
+            per_sample = integrator.paths_for(lambda: self.seen(job).sharp_fraction())
+            self._size = math.ceil(integrator.photon_count / (per_sample * job.width * job.height))
+        return self._size
 
     def __call__(self, job: Job, band: Band, begin: int, end: int) -> list[Float]:
-        size, parts = samples_of_pass(job), []
+        size, parts = self.size(job), []
         while begin < end:
             number = begin // size
             last = min(end, (number + 1) * size)
@@ -240,7 +264,7 @@ class PhotonSamples(SplattedSamples):
                 self._store = job.integrator.store(job.scene)
                 store = self._store
                 found = functools.cache(lambda: first_photons(job, store))
-                self._first, self._box = first_radius(job, store, found), None
+                self._first, self._box = first_radius(job, lambda: self.seen(job), store, found), None
                 if job.integrator.looks_in_box(job.scene):
                     self._box = box_of_photons(job, store, self._first, found)
             self._looking = None  # its map's memory is that of the next one
@@ -287,12 +311,6 @@ class NearLanes:
         """The lanes in the order [layer][pixel] of stored samples."""
 
 
-def samples_of_pass(job: Job) -> int:
-    """The samples per pixel of a pass: as few as give each camera path `paths_per_sample` light paths, at most."""
-    assert isinstance(job.integrator, PhotonMapping)
-    return math.ceil(job.integrator.photon_count / (job.integrator.paths_per_sample * job.width * job.height))
-
-
 def first_photons(job: Job, store: PhotonStore) -> int:
     """Fill the store with the photons of some light paths, and return their number.
 
@@ -310,16 +328,16 @@ def first_paths(integrator: PhotonMapping) -> int:
     return min(integrator.photon_count, FIRST_PATHS)
 
 
-def first_radius(job: Job, store: PhotonStore, found: Callable[[], int]) -> float:
+def first_radius(job: Job, look: Callable[[], Seen], store: PhotonStore, found: Callable[[], int]) -> float:
     """The radius of the first pass: that of the integrator, or one that follows from what the sensor sees.
 
-    `found` calls `first_photons` when it is first called.
+    `look` says what that is, and `found` calls `first_photons` when it is first called.
     """
     scene, integrator = job.scene, job.integrator
     assert isinstance(integrator, PhotonMapping)
     if integrator.initial_radius > 0:
         return integrator.initial_radius
-    seen = seen_from(job)
+    seen = look()
     largest = seen.largest_radius()
     if largest == 0:
         low, high = (np.array(corner, np.float64).ravel() for corner in scene.bbox())
