@@ -51,7 +51,7 @@ class Geometry:
     moves: ClassVar[bool] = False
     """Whether some of the shapes move, so that queries look at the time of a ray."""
     overlaps: ClassVar[bool] = False
-    """Whether bodies overlap, so that queries look at the medium of a ray: see `djpt.geometry.overlapping`."""
+    """Whether bodies may overlap, so that queries look at the medium of a ray: see `djpt.geometry.overlapping`."""
 
     def __init__(self, shapes: Sequence[Shape], points: Sequence[Point3f], open_sky: bool) -> None:
         """`points` are the positions of point lights; `open_sky` is true if there is light from infinity."""

@@ -192,21 +192,21 @@ class Media:
         if eye is not None and sensor.carrier is not None:
             eye = sensor.carrier.keyframes.at(sensor.shutter_open()).transform_point(eye)
         given, around = self.number(sensor.get_medium()), self.around(eye)
-        return self.begun(given, around)
+        return self.at_sensor(given, around)
 
-    def begun(self, given: int, around: int) -> tuple[UInt32, UInt32 | None]:
-        """What `of_sensor` returns, by the numbers of the medium that the sensor names and of the one around it."""
+    def at_sensor(self, given: int, around: int) -> tuple[UInt32, UInt32 | None]:
+        """The media of `of_sensor`, from the numbers of the medium that the sensor names and of the one around it."""
         start = dr.opaque(UInt32, around if given == self.vacuum else given)
         outer = dr.opaque(UInt32, given) if given != self.vacuum and around == self.vacuum else None
         return start, outer
 
     def along(self, ray: Ray3f, t: Float, active: Bool) -> UInt32:
-        """The medium of a ray at a distance, up to which it meets no surface."""
+        """What a ray carries as its `medium` at a distance t, if it meets no surface before."""
         assert ray.medium is not None
         return ray.medium
 
     def filling(self, medium: UInt32) -> UInt32:
-        """The numbers of media by what rays carry as their `medium`: the same, unless bodies overlap."""
+        """The numbers of media, from what rays carry as their `medium`: the same, unless bodies overlap."""
         return medium
 
     def index_around(self, si: SurfaceInteraction3f) -> Float | None:

@@ -8,7 +8,7 @@ import numpy as np
 from djpt.core.lookup import Numbers, Rows
 from djpt.core.records import BSDFFlags, Ray3f, SurfaceInteraction3f, has_flag
 from djpt.errors import SceneError
-from djpt.geometry.overlapping import OUTSIDE, OverlappingGeometry, bit_of, first_of
+from djpt.geometry.overlapping import OUTSIDE, OverlappingGeometry, bit_of, highest_body
 from djpt.jit.types import Bool, Float, Point3f, UInt32, Vector3f
 from djpt.scene.media_placement import DIRECTIONS, Media, points_outward
 
@@ -18,8 +18,11 @@ __all__ = ["OverlappingMedia"]
 class OverlappingMedia(Media):
     """Media by the bodies that a ray is in: the one of the highest priority counts.
 
-    What rays carry as their `medium` is a word here, with the number of the medium outside of all bodies in its lowest
+    What rays carry as their `medium` is a mask here, with the number of the medium outside of all bodies in its lowest
     bits, and above them a bit for each body: see `djpt.geometry.overlapping`.
+
+    Raises:
+        SceneError: There are more media than these bits can number, or the index of refraction of a body has gradients.
     """
 
     _geometry: OverlappingGeometry
@@ -43,36 +46,36 @@ class OverlappingMedia(Media):
         self._indices = Rows([dr.opaque(Float, eta) for eta in (1.0, *indices)])
 
     def filling(self, medium: UInt32) -> UInt32:
-        first = first_of(medium)
-        return dr.select(first == 0, medium & OUTSIDE, self._filling.at(first))
+        body = highest_body(medium)
+        return dr.select(body == 0, medium & OUTSIDE, self._filling.at(body))
 
     def index_around(self, si: SurfaceInteraction3f) -> Float | None:
         if si.medium is None:
             return None
         number = self._geometry.number_of_face.at(si.face)
         others = si.medium & ~bit_of(number) & self._refracting
-        return dr.select(number == 0, 1, self._indices.at(first_of(others)))
+        return dr.select(number == 0, 1, self._indices.at(highest_body(others)))
 
     def beyond(self, si: SurfaceInteraction3f, d: Vector3f) -> UInt32:
         bit = bit_of(self._geometry.number_of_face.at(si.face))
-        word = UInt32(self.vacuum) if si.medium is None else si.medium
-        return dr.select(points_outward(si.n, si.sh_frame.n, d), word & ~bit, word | bit)
+        mask = UInt32(self.vacuum) if si.medium is None else si.medium
+        return dr.select(points_outward(si.n, si.sh_frame.n, d), mask & ~bit, mask | bit)
 
     def along(self, ray: Ray3f, t: Float, active: Bool) -> UInt32:
         assert ray.medium is not None
-        return dr.select(active, self._geometry.word_at(ray, t, active), ray.medium)
+        return dr.select(active, self._geometry.bodies_at(ray, t, active), ray.medium)
 
     def at(self, p: Point3f, direction: Vector3f | None = None, outside: UInt32 | None = None) -> UInt32:
         d = Vector3f(*DIRECTIONS[0]) if direction is None else direction
         outside = UInt32(self.vacuum) if outside is None else outside
-        return self._geometry.crossed(Ray3f(Point3f(p), d)) | outside
+        return self._geometry.bodies_around(Ray3f(Point3f(p), d)) | outside
 
     def _majority(self, p: tuple[float, ...]) -> int:
         directions = Vector3f(*(list(c) for c in zip(*DIRECTIONS, strict=True)))
-        words, counts = np.unique(self.at(Point3f(*p), directions).numpy(), return_counts=True)
-        return int(words[counts.argmax()])
+        masks, counts = np.unique(self.at(Point3f(*p), directions).numpy(), return_counts=True)
+        return int(masks[counts.argmax()])
 
-    def begun(self, given: int, around: int) -> tuple[UInt32, UInt32 | None]:
+    def at_sensor(self, given: int, around: int) -> tuple[UInt32, UInt32 | None]:
         return dr.opaque(UInt32, (around & ~OUTSIDE) | given), None
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from djpt.core.records import RAY_EPSILON, BSDFFlags, Ray3f, has_flag
 from djpt.errors import SceneError
+from djpt.geometry.overlapping import OverlappingGeometry
 from djpt.jit.types import Float, Point3f, Vector3f
 
 if TYPE_CHECKING:
@@ -70,8 +71,14 @@ def index_around(
     """The index of refraction at a point, relative to that outside of all bodies: the `ior` of a camera there.
 
     Where bodies overlap, as a liquid that reaches into the wall of its glass, the one with the highest priority fills
-    the space, and of those with the same the smallest (C. Schmidt and B. Budge, "Simple nested dielectrics in ray
-    traced images", 2002). `priorities` are by the ids of shapes, by default those of the scene; else they are 0.
+    the space (C. Schmidt and B. Budge, "Simple nested dielectrics in ray traced images", 2002).
+
+    Args:
+        scene: The scene.
+        point: The point, in world space.
+        priorities: Priorities by the ids of shapes, 0 for others; of bodies with the same the smallest counts. By
+            default those of the scene, and of bodies with the same the first, as in images.
+        rays: The number of rays.
 
     Raises:
         SceneError: The place is ambiguous: for some body more than a tenth of the rays, and fewer than nine, vote.
@@ -86,8 +93,13 @@ def index_around(
     around = [body for body in known if body.votes >= 0.9]
     if not around:
         return 1.0
-    given = {body.shape.id(): body.shape.priority or 0.0 for body in around} if priorities is None else priorities
-    first = max(around, key=lambda body: given.get(body.shape.id(), 0.0))  # the first, thus smallest, of equals
+    geometry = scene.geometry
+    if priorities is None and isinstance(geometry, OverlappingGeometry):
+        ranks = {id(geometry.contents.shapes[i]): rank for rank, i in enumerate(geometry.bodies)}
+        first = max(around, key=lambda body: ranks.get(id(body.shape), -1))
+    else:
+        given = {} if priorities is None else priorities
+        first = max(around, key=lambda body: given.get(body.shape.id(), 0.0))  # the first, thus smallest, of equals
     assert first.eta is not None
     return first.eta
 

@@ -67,6 +67,10 @@ class Hit:
 class Shape(ShapeQuestions):
     """A surface that rays can hit; may carry a BSDF and an area light.
 
+    Parameters of all shapes: `to_world` (default identity), `flip_normals` (default false), `bsdf`, `emitter`,
+    `sensor`, the media `interior` and `exterior`, `priority` (a number; default: none, which counts as 0 where bodies
+    overlap, see `djpt.geometry.overlapping`), and `silhouette_sampling_weight` (at least 0, default 1).
+
     Two kinds of methods read a shape's `values`: `intersect` is unrolled per instance, on
     opaque values; `surface`, `sample_position` and the like are traced once per class, with
     values looked up per lane (see `djpt.dispatch.ensemble`).
@@ -95,7 +99,7 @@ class Shape(ShapeQuestions):
     """The total area in world space, of shapes that have this value."""
 
     priority: float | None = None
-    """The priority of the body that the surface bounds, where bodies overlap; None if none was given."""
+    """The priority of the body that the surface bounds, where bodies overlap; None, which counts as 0, if not given."""
     deforms: bool = False
     """Of meshes: whether the vertices move, see `djpt.shapes.deforming`."""
     in_group: bool = False

@@ -224,6 +224,31 @@ def test_a_camera_in_a_body_knows_what_it_is_in() -> None:
     assert rendered(scene, spp=1024).mean() == pytest.approx(passed * WATER**2, rel=0.01)
 
 
+@pytest.mark.parametrize("distance", [5.0, 3e4])
+def test_searches_for_surfaces_end(distance: float) -> None:
+    """Also for rays that end among hidden surfaces, or come from afar: smoke that absorbs nothing is invisible."""
+    smoke = ball(1, {"type": "null"}, interior={"type": "homogeneous", "sigma_t": 1.0, "albedo": 1.0})
+    hole = {"type": "cube", "to_world": T().translate([0, 0, 1]).scale(0.5), "bsdf": {"type": "null"}, "priority": 1}
+    sensor = {
+        "type": "perspective",
+        "fov": float(np.degrees(4 / distance)),
+        "far_clip": 1e6,
+        "to_world": T().look_at(origin=[0, 0.3 * distance, distance], target=[0, 0, 0], up=[0, 1, 0]),
+        "film": {"type": "hdrfilm", "width": 8, "height": 8, "rfilter": {"type": "box"}},
+    }
+    scene = {"sensor": sensor, "sky": {"type": "constant"}, "smoke": smoke, "hole": hole}
+    image = rendered({**scene, "integrator": {"type": "volpath", "max_depth": -1, "rr_depth": 1000}}, 1024)
+    assert image.mean() == pytest.approx(1, rel=0.002)
+
+
+def test_of_bodies_with_the_same_priority_the_first_is_around() -> None:
+    small, large = ball(0.5, interface(WATER), priority=0), ball(1, interface(GLASS), priority=0)
+    for first, second, index in ((small, large, WATER), (large, small, GLASS)):
+        scene = djpt.load_dict({"type": "scene", **lit(a=first, b=second)})
+        assert index_around(scene, [0.1, 0.2, 0.1]) == pytest.approx(index)
+        assert index_around(scene, [0.1, 0.2, 0.1], {}) == pytest.approx(WATER)
+
+
 def test_derivatives_follow_the_bodies() -> None:
     """The derivative by an absorption and an albedo is that of the difference of two images of the same seed."""
     milk = {"type": "homogeneous", "sigma_t": 3.0, "albedo": 0.7}

@@ -253,7 +253,7 @@ class PreliminaryIntersection3f(Instanced):
     nearby: tuple[Any, ...]
     """The hit in the coordinates of the search for triangles, if known: see `near`."""
     media: tuple[UInt32, ...]
-    """What the ray runs through at the hit, if that may differ from its `Ray3f.media`: see `djpt.geometry.nested`."""
+    """The medium of the ray at the hit, if it may differ from its `Ray3f.media`: see `djpt.geometry.overlapping`."""
 
     @staticmethod
     def found(t: Float, face: UInt32, shape_index: UInt32, near: Any = None) -> PreliminaryIntersection3f:
