@@ -41,6 +41,10 @@ class VolumetricPathState(PathState):
     flown: Float | None = None
     """Length of the path's last ray up to its end; None unless it is asked for."""
 
+    def throughput_after(self, flight: Flight) -> Color3f:
+        """The throughput of the path at the end of a flight."""
+        return self.throughput * flight.value * dr.rcp(of_channel(flight.pdf, self.channel))
+
 
 class VolumetricPath(UnidirectionalPath):
     """Unidirectional path tracing with light sampling, Russian roulette, and scattering in media.

@@ -16,7 +16,7 @@ from djpt.integrators.guiding.training import LearningIntegrator, TrainingPaths
 from djpt.integrators.volpath import VolumetricPathState
 from djpt.integrators.volpathmis import VolumetricPathMIS
 from djpt.jit.types import UInt32, Vector3f
-from djpt.media.flight import Flight, of_channel
+from djpt.media.flight import Flight
 from djpt.samplers.base import SampleStream
 
 if TYPE_CHECKING:
@@ -121,7 +121,7 @@ class CachedVolumetricPath(VolumetricPathMIS, LearningIntegrator):
 
         # ---------------- A cell, and its light ---------------
         p = ray(flight.t)
-        throughput = state.throughput * flight.value * dr.rcp(of_channel(flight.pdf, state.channel))
+        throughput = state.throughput_after(flight)
         cell, in_cell = self.cells.at(medium, p, Vector3f(0), flight.scattered)
         found = ScatteringVertex(**vars(v), cell=cell, in_cell=in_cell, throughput=throughput)
         assert isinstance(v.state, CachedState)

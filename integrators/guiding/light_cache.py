@@ -16,7 +16,8 @@ import numpy as np
 from djpt.core.records import Ray3f
 from djpt.core.records.interactions import MediumInteraction3f
 from djpt.integrators.base import PathIntegrator, Vertex
-from djpt.jit.kernels import as_float, loop_traced_once, maximum, minimum, own_copy, own_floats, while_loop, wide
+from djpt.integrators.guiding.training import Lane, follow
+from djpt.jit.kernels import as_float, maximum, minimum, own_copy, own_floats, while_loop
 from djpt.jit.types import Array4f, Bool, Color3f, Float, Int64, Point3f, UInt32, Vector3f
 from djpt.samplers.base import SampleStream
 
@@ -142,24 +143,6 @@ class Note:
     """The radiance that the path has found since the vertex noted before."""
 
 
-@dataclass
-class Lane:
-    """Loop state of a path."""
-
-    o: Point3f
-    d: Vector3f
-    medium: UInt32 | None
-    times: Any
-    sampler: Any
-    state: Any
-    notes: Any
-    """In local memory."""
-    count: UInt32
-    since: Color3f
-    """The radiance found since the last vertex noted."""
-    active: Bool
-
-
 def learned(
     integrator: PathIntegrator, scene: Scene, cells: LightCells, sampler: SampleStream, ray: Ray3f, unit: float
 ) -> LightCache:
@@ -173,36 +156,15 @@ def learned(
         ray: Camera rays.
         unit: A usual radiance.
     """
-    lanes = dr.width(ray, sampler)
     visits, sums = dr.zeros(UInt32, cells.count), dr.zeros(Int64, 3 * cells.count)
     dr.eval(visits, sums)
-    start = Lane(
-        o=wide(ray.o, lanes),
-        d=wide(ray.d, lanes),
-        medium=wide(ray.medium, lanes),
-        times=wide(ray.times, lanes),
-        sampler=sampler,
-        state=wide(integrator.begin(scene, sampler), lanes),
-        notes=dr.alloc_local(Note, REMEMBERED),
-        count=dr.zeros(UInt32, lanes),
-        since=dr.zeros(Color3f, lanes),
-        active=dr.full(Bool, True, lanes),
-    )
 
-    def body(lane: Lane) -> tuple[Lane]:
-        way = Ray3f(lane.o, lane.d, maxt=dr.select(lane.state.depth == 0, ray.maxt, dr.inf), medium=lane.medium)
-        way.times = lane.times
-        si = integrator.trace(scene, lane.state, way, lane.sampler)
-        v: Any = integrator.advance(scene, lane.sampler, lane.state, way, si)
-        arrived, scattered = lane.since + v.emitted, integrator.transmittance(scene, lane.sampler, v)
+    def note(lane: Lane, v: ScatteringVertex, arrived: Color3f, reflected: Color3f) -> tuple[Note, Bool, Color3f]:
+        # The radiance of a lane is what it has found since the last note.
         noted = v.in_cell & (lane.count < REMEMBERED)
-        lane.notes.write(Note(v.cell, v.throughput, arrived), lane.count, noted)
-        since = dr.select(noted, 0, arrived) + scattered
-        count = dr.select(noted, lane.count + 1, lane.count)
-        on = v.ray
-        return (Lane(on.o, on.d, on.medium, on.times, lane.sampler, v.state, lane.notes, count, since, v.active),)
+        return Note(v.cell, v.throughput, arrived), noted, dr.select(noted, 0, arrived) + reflected
 
-    (end,) = loop_traced_once(start, lambda lane: lane.active, body, "light cache")
+    end = follow(integrator, scene, sampler, ray, dr.alloc_local(Note, REMEMBERED), note, "light cache")
     scale = dr.rcp(as_float(unit))
 
     def add(left: UInt32, since: Color3f, notes: Any) -> tuple[UInt32, Color3f, Any]:
@@ -216,7 +178,7 @@ def learned(
         return left, since + note.before, notes
 
     last, _, _ = while_loop(
-        (end.count, end.since, end.notes), lambda left, since, notes: left > 0, add, label="light cache notes"
+        (end.count, end.radiance, end.notes), lambda left, since, notes: left > 0, add, label="light cache notes"
     )
     dr.eval(last, visits, sums)
     seen = visits.numpy().astype(np.float64)[:, None]

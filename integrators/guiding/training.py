@@ -8,6 +8,7 @@ P. Grittmann, S. Herholz, P. Vévoda, P. Slusallek and J. Křivánek, "Variance-
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -25,7 +26,7 @@ from djpt.samplers.base import SampleStream
 if TYPE_CHECKING:
     from djpt.scene.scene import Scene
 
-__all__ = ["GuidedVertex", "LearningIntegrator", "TrainingPaths", "TrainingResult", "train"]
+__all__ = ["GuidedVertex", "Lane", "LearningIntegrator", "TrainingPaths", "TrainingResult", "follow", "train"]
 
 
 class TrainingPaths(Protocol):
@@ -97,7 +98,7 @@ class Choice:
 
 @dataclass
 class Lane:
-    """Loop state of a path."""
+    """Loop state of a training path."""
 
     o: Point3f
     d: Vector3f
@@ -106,10 +107,62 @@ class Lane:
     sampler: Any
     state: Any
     radiance: Color3f
-    choices: Any
-    """In local memory."""
+    """Radiance that the path has found, as `Note` leaves it."""
+    notes: Any
+    """What the path remembers, in local memory."""
     count: UInt32
+    """The number of notes."""
     active: Bool
+
+
+Note = Callable[[Lane, Any, Color3f, Color3f], tuple[Any, Bool, Color3f]]
+"""What a path remembers of a vertex.
+
+Arguments: the lane, the vertex, the lane's radiance with what the vertex emits, and what the vertex reflects.
+Results: a note, whether it is written, and the radiance that the lane goes on with."""
+
+
+def follow(
+    integrator: PathIntegrator, scene: Scene, sampler: SampleStream, ray: Ray3f, notes: Any, note: Note, label: str
+) -> Lane:
+    """Follow one training path per lane, without an image; the lanes when all have ended.
+
+    Args:
+        integrator: The estimator.
+        scene: The scene.
+        sampler: Random numbers.
+        ray: Camera rays.
+        notes: Local memory, one array per lane.
+        note: Called at each vertex.
+        label: The name of the loop.
+    """
+    lanes = dr.width(ray, sampler)
+    start = Lane(
+        o=wide(ray.o, lanes),
+        d=wide(ray.d, lanes),
+        medium=wide(ray.medium, lanes),
+        times=wide(ray.times, lanes),
+        sampler=sampler,
+        state=wide(integrator.begin(scene, sampler), lanes),
+        radiance=dr.zeros(Color3f, lanes),
+        notes=notes,
+        count=dr.zeros(UInt32, lanes),
+        active=dr.full(Bool, True, lanes),
+    )
+
+    def body(lane: Lane) -> tuple[Lane]:
+        way = Ray3f(lane.o, lane.d, maxt=dr.select(lane.state.depth == 0, ray.maxt, dr.inf), medium=lane.medium)
+        way.times = lane.times
+        si = integrator.trace(scene, lane.state, way, lane.sampler)
+        v = integrator.advance(scene, lane.sampler, lane.state, way, si)
+        reflected = integrator.transmittance(scene, lane.sampler, v)
+        found, written, radiance = note(lane, v, lane.radiance + v.emitted, reflected)
+        lane.notes.write(found, lane.count, written)
+        count, on = dr.select(written, lane.count + 1, lane.count), v.ray
+        return (Lane(on.o, on.d, on.medium, on.times, lane.sampler, v.state, radiance, lane.notes, count, v.active),)
+
+    (end,) = loop_traced_once(start, lambda lane: lane.active, body, label)
+    return end
 
 
 @dataclass
@@ -138,37 +191,16 @@ def train(
         cells: The number of its cells.
         unit: A usual value of C^2 p.
     """
-    lanes = dr.width(ray, sampler)
     visits, sums = dr.zeros(UInt32, cells), dr.zeros(Int64, leaves * SQUARES)
     dr.eval(visits, sums)
-    start = Lane(
-        o=wide(ray.o, lanes),
-        d=wide(ray.d, lanes),
-        medium=wide(ray.medium, lanes),
-        times=wide(ray.times, lanes),
-        sampler=sampler,
-        state=wide(integrator.begin(scene, sampler), lanes),
-        radiance=dr.zeros(Color3f, lanes),
-        choices=dr.alloc_local(Choice, REMEMBERED),
-        count=dr.zeros(UInt32, lanes),
-        active=dr.full(Bool, True, lanes),
-    )
 
-    def body(lane: Lane) -> tuple[Lane]:
-        way = Ray3f(lane.o, lane.d, maxt=dr.select(lane.state.depth == 0, ray.maxt, dr.inf), medium=lane.medium)
-        way.times = lane.times
-        si = integrator.trace(scene, lane.state, way)
-        v: Any = integrator.advance(scene, lane.sampler, lane.state, way, si)
-        radiance = lane.radiance + v.emitted + integrator.transmittance(scene, lane.sampler, v)
+    def note(lane: Lane, v: GuidedVertex, arrived: Color3f, reflected: Color3f) -> tuple[Choice, Bool, Color3f]:
+        radiance = arrived + reflected
         chosen = v.active & (v.density > 0) & (lane.count < REMEMBERED)
-        choice = Choice(v.square, v.density, dr.mean(lane.state.throughput), dr.mean(radiance))
-        lane.choices.write(choice, lane.count, chosen)
         dr.scatter_add(visits, UInt32(1), v.cell, chosen)
-        count = dr.select(chosen, lane.count + 1, lane.count)
-        on = v.ray
-        return (Lane(on.o, on.d, on.medium, on.times, lane.sampler, v.state, radiance, lane.choices, count, v.active),)
+        return Choice(v.square, v.density, dr.mean(lane.state.throughput), dr.mean(radiance)), chosen, radiance
 
-    (end,) = loop_traced_once(start, lambda lane: lane.active, body, "practice")
+    end = follow(integrator, scene, sampler, ray, dr.alloc_local(Choice, REMEMBERED), note, "practice")
     found, scale = dr.mean(end.radiance), dr.rcp(as_float(unit))
 
     def add_choice(i: UInt32, choices: Any) -> tuple[UInt32, Any]:
@@ -180,7 +212,10 @@ def train(
         return i + 1, choices
 
     last, _ = while_loop(
-        (dr.zeros(UInt32, lanes), end.choices), lambda i, choices: i < end.count, add_choice, label="practice notes"
+        (dr.zeros(UInt32, dr.width(end.count)), end.notes),
+        lambda i, choices: i < end.count,
+        add_choice,
+        label="practice notes",
     )
     dr.eval(last, visits, sums)
     whole = sums.numpy().astype(np.float64).reshape(leaves, SQUARES) * (unit / 2.0**DIGITS)

@@ -15,7 +15,7 @@ from djpt.integrators.photons import Photon, PhotonMap, inverse_coverage, invers
 from djpt.integrators.photons.photon_mapping import over_cosine, over_scattering, scattering_at, scatters
 from djpt.integrators.volpath import VolumetricPath, VolumetricPathState
 from djpt.jit.types import Bool, Color3f, UInt32
-from djpt.media.flight import Flight, of_channel
+from djpt.media.flight import Flight
 from djpt.samplers.base import SampleStream
 
 if TYPE_CHECKING:
@@ -58,8 +58,7 @@ class GatheringPath(VolumetricPath):
     ) -> Vertex:
         assert isinstance(state, GatheringState)
         v = super().arrive(scene, sampler, state, ray, si, flight)
-        first, throughput = ~Bool(state.scattered), state.throughput * flight.value
-        throughput = throughput * dr.rcp(of_channel(flight.pdf, state.channel))
+        first, throughput = ~Bool(state.scattered), state.throughput_after(flight)
         looks, edges = first & (state.depth + 1 < self.longest), self.longest - state.depth - 1
         light = self.of_surface(scene, sampler, si, edges, looks & ~flight.scattered)
         light = light + self.of_medium(scene, sampler, ray, flight, edges, looks & flight.scattered)
