@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import drjit as dr
@@ -207,39 +207,94 @@ class Photons(Splatting):
         return PhotonSamples(splats)
 
 
+class Preparation:
+    """What is found out before the first pass of an image, each part when it is first asked for.
+
+    None of it depends on the seed, so that rounds of one image begin alike.
+    """
+
+    def __init__(self, job: Job) -> None:
+        assert isinstance(job.integrator, PhotonMapping)
+        self._job, self._integrator = job, job.integrator
+
+    @cached_property
+    def seen(self) -> Seen:
+        """The points that the sensor sees."""
+        return seen_from(self._job)
+
+    @cached_property
+    def pass_size(self) -> int:
+        """The samples per pixel of a pass: as few as give each camera path the integrator's light paths, at most."""
+        per_sample = self._integrator.paths_for(lambda: self.seen.sharp_fraction())
+        return math.ceil(self._integrator.photon_count / (per_sample * self._job.width * self._job.height))
+
+    @cached_property
+    def store(self) -> PhotonStore:
+        """Memory for the photons of a pass."""
+        return self._integrator.store(self._job.scene)
+
+    @property
+    def _paths(self) -> int:
+        """The number of light paths that are followed beforehand."""
+        return min(self._integrator.photon_count, FIRST_PATHS)
+
+    @cached_property
+    def _photons(self) -> int:
+        """The number of the photons of these paths, which are then in the store."""
+        scene, integrator = self._job.scene, self._integrator
+        # Where photons lie doesn't depend on a radius.
+        looking = integrator.looking_at(PhotonMap(1.0, integrator.photon_count, scene.lights.brightness))
+        return walk(scene, looking, self.store, self._paths, sample_tea_32(dr.opaque(UInt32, APART), UInt32(0))[0])
+
+    @cached_property
+    def radius(self) -> float:
+        """The radius of the first pass: that of the integrator, or one that follows from what the sensor sees."""
+        integrator = self._integrator
+        if integrator.initial_radius > 0:
+            return integrator.initial_radius
+        largest = self.seen.largest_radius()
+        if largest == 0:
+            low, high = (np.array(corner, np.float64).ravel() for corner in self._job.scene.bbox())
+            side = float((high - low).max())
+            return LARGEST_SIDE * side if 0 < side < np.inf else LARGEST_SIDE
+        count = self._photons
+        wanted = integrator.crowd * self._paths / integrator.photon_count
+        return radius_of_crowd(self.seen, lambda photons: photons.fill(self.store, count), self._paths, wanted)
+
+    @cached_property
+    def box(self) -> Box | None:
+        """A box that holds most of the photons in media, along each axis all but a few; None if none is wanted."""
+        if not self._integrator.looks_in_box(self._job.scene):
+            return None
+        radius = self.radius
+        places = self.store.places_in_media(self._photons)
+        if not len(places):
+            return Box.of(np.zeros(3), np.zeros(3))
+        low, high = np.quantile(places, (OUTSIDE, 1 - OUTSIDE), axis=0)
+        # Where light ends at the same place as the box, blurring across its sides would be one-sided.
+        return crossed(self._job, Box.of(low - MARGIN * radius, high + MARGIN * radius))
+
+
 class PhotonSamples(SplattedSamples):
     """Computes samples with the map of their pass, which is made when they are asked for."""
 
     def __init__(self, splats: Splats) -> None:
         super().__init__(splats)
-        self._store: PhotonStore | None = None
-        self._first = 0.0
-        self._box: Box | None = None
+        self._prepared: Preparation | None = None
         self._number = -1
         self._looking: PhotonMapping | None = None
-        self._seen: Seen | None = None
-        self._size = 0
 
     def passes(self, job: Job) -> tuple[int, int]:
-        return job.width * job.height, self.size(job)
+        return job.width * job.height, self.prepared(job).pass_size
 
-    def seen(self, job: Job) -> Seen:
-        """What the sensor sees, found out once."""
-        if self._seen is None:
-            self._seen = seen_from(job)
-        return self._seen
-
-    def size(self, job: Job) -> int:
-        """The samples per pixel of a pass: as few as give each camera path the integrator's light paths, at most."""
-        if not self._size:
-            integrator = job.integrator
-            assert isinstance(integrator, PhotonMapping)
-            per_sample = integrator.paths_for(lambda: self.seen(job).sharp_fraction())
-            self._size = math.ceil(integrator.photon_count / (per_sample * job.width * job.height))
-        return self._size
+    def prepared(self, job: Job) -> Preparation:
+        """What is found out before the first pass."""
+        if self._prepared is None:
+            self._prepared = Preparation(job)
+        return self._prepared
 
     def __call__(self, job: Job, band: Band, begin: int, end: int) -> list[Float]:
-        size, parts = self.size(job), []
+        size, parts = self.prepared(job).pass_size, []
         while begin < end:
             number = begin // size
             last = min(end, (number + 1) * size)
@@ -259,16 +314,10 @@ class PhotonSamples(SplattedSamples):
     def of_pass(self, job: Job, number: int) -> PhotonMapping:
         """The integrator with the map of a pass, 0, 1, .."""
         if number != self._number or self._looking is None:
-            if self._store is None:
-                assert isinstance(job.integrator, PhotonMapping)
-                self._store = job.integrator.store(job.scene)
-                store = self._store
-                found = functools.cache(lambda: first_photons(job, store))
-                self._first, self._box = first_radius(job, lambda: self.seen(job), store, found), None
-                if job.integrator.looks_in_box(job.scene):
-                    self._box = box_of_photons(job, store, self._first, found)
+            prepared = self.prepared(job)
+            first, box = prepared.radius, prepared.box
             self._looking = None  # its map's memory is that of the next one
-            self._looking = trace(job, self._store, self._first, self._box, number)
+            self._looking = trace(job, prepared.store, first, box, number)
             self._number = number
         return self._looking
 
@@ -309,53 +358,6 @@ class NearLanes:
         top, high = strip(row // height)
         self.place = (top * width + (pixel - row * width) * high + row - top) * samples + layer
         """The lanes in the order [layer][pixel] of stored samples."""
-
-
-def first_photons(job: Job, store: PhotonStore) -> int:
-    """Fill the store with the photons of some light paths, and return their number.
-
-    They are the same whatever the seed is, so that rounds of one image begin alike.
-    """
-    scene, integrator = job.scene, job.integrator
-    assert isinstance(integrator, PhotonMapping)
-    # Where photons lie doesn't depend on a radius.
-    looking = integrator.looking_at(PhotonMap(1.0, integrator.photon_count, scene.lights.brightness))
-    return walk(scene, looking, store, first_paths(integrator), sample_tea_32(dr.opaque(UInt32, APART), UInt32(0))[0])
-
-
-def first_paths(integrator: PhotonMapping) -> int:
-    """The number of light paths of `first_photons`."""
-    return min(integrator.photon_count, FIRST_PATHS)
-
-
-def first_radius(job: Job, look: Callable[[], Seen], store: PhotonStore, found: Callable[[], int]) -> float:
-    """The radius of the first pass: that of the integrator, or one that follows from what the sensor sees.
-
-    `look` says what that is, and `found` calls `first_photons` when it is first called.
-    """
-    scene, integrator = job.scene, job.integrator
-    assert isinstance(integrator, PhotonMapping)
-    if integrator.initial_radius > 0:
-        return integrator.initial_radius
-    seen = look()
-    largest = seen.largest_radius()
-    if largest == 0:
-        low, high = (np.array(corner, np.float64).ravel() for corner in scene.bbox())
-        side = float((high - low).max())
-        return LARGEST_SIDE * side if 0 < side < np.inf else LARGEST_SIDE
-    paths, count = first_paths(integrator), found()
-    wanted = integrator.crowd * paths / integrator.photon_count
-    return radius_of_crowd(seen, lambda photons: photons.fill(store, count), paths, wanted)
-
-
-def box_of_photons(job: Job, store: PhotonStore, radius: float, found: Callable[[], int]) -> Box:
-    """A box that holds most of the photons in media: along each axis all but a few. For `found` see `first_radius`."""
-    places = store.places_in_media(found())
-    if not len(places):
-        return Box.of(np.zeros(3), np.zeros(3))
-    low, high = np.quantile(places, (OUTSIDE, 1 - OUTSIDE), axis=0)
-    # Where light ends at the same place as the box, blurring across its sides would be one-sided.
-    return crossed(job, Box.of(low - MARGIN * radius, high + MARGIN * radius))
 
 
 def crossed(job: Job, box: Box) -> Box:
