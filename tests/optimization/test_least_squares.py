@@ -263,7 +263,7 @@ def test_means_over_steps_have_less_noise(frozen: bool) -> None:
     problem = Problem(Passes(lambda x, seed: image(x, seed) - target, frozen), {"x": djpt.TensorXf(TEXELS)}, {}, {})
     x, slopes = problem.start * 0.9, list[tuple[Any, Any]]()
     for row in range(8):
-        problem.before, problem.noise = None, 0.0
+        problem.means_before, problem.noise = None, 0.0
         for k in range(6):
             place, number = x - (5 - k) * 0.004, 10 * row + k
             before = problem.residuals(place, 1000 + number)
@@ -271,7 +271,7 @@ def test_means_over_steps_have_less_noise(frozen: bool) -> None:
             if k:
                 problem.noise = float(np.mean(np.square(now - before))) / 2
             mean = problem.slope(place, now, number)
-        problem.before = None
+        problem.means_before = None
         slopes.append((mean, problem.slope(x, now, number)))
     means, singles = (np.array(part) for part in zip(*slopes, strict=True))
     reference = np.concatenate([means, singles]).mean(axis=0)

@@ -29,9 +29,9 @@ Where the loss hardly falls any more, noise is larger than what is left to gain,
 are averaged. When there are as many as may be, steps become shorter, in the end like 1 / i, which averages over steps.
 
 Products with J need no paths: it is tabulated once a step (`djpt.rendering.gradients.jacobian`), or, where images have
-a graph, that graph is traversed again and again. Of tables there is a mean over the steps, and of r as well: what the
-steps before say of it at this place, r + J (x - x_before), has noise of its own, and is averaged with what is new, the
-less the more it is off, since J has changed (after Nicolet et al., "Recursive Control Variates for Inverse Rendering",
+a graph, that graph is traversed again and again. Tables are averaged over the steps, and r as well: the prediction of
+the steps before, r + J (x - x_before), has noise of its own, and is averaged with the new residuals; the more it is
+off, since J has changed, the less it counts (after Nicolet et al., "Recursive Control Variates for Inverse Rendering",
 ACM Transactions on Graphics 42, 2023, who do so with images).
 
 Of small images most time goes into tracing. With `frozen`, `dr.freeze` does that once for each of five functions: the
@@ -96,7 +96,7 @@ FELL_MUCH = 0.5
 """The ratio of a loss to that before a step below which the differences of that step serve for the next one."""
 
 LEAST_WEIGHT = 0.1
-"""The least weight of a step: of its residuals in their mean with those that steps before predict, and of its J."""
+"""The least weight of a step in the means over steps, of its J and of its residuals."""
 
 SMALL = 1e-3
 """The length of a vector of the basis, relative to the slope's, below which the space holds all that matters."""
@@ -187,7 +187,7 @@ def least_squares(
         if halvings != problem.halvings:
             problem.halvings, damping = halvings, min(damping, first)
             problem.products.clear()
-            problem.columns = problem.before = problem.differences = None
+            problem.columns = problem.means_before = problem.differences = None
             problem.refined = coarse - halvings
         number = round_seed(seed, i)
         now = problem.residuals(x, number)
@@ -228,6 +228,20 @@ def least_squares(
     return LeastSquares(problem.variables(x), average, losses, damping, taken_back)
 
 
+@dataclass
+class Means:
+    """Means over the steps of a search."""
+
+    linear: Linear
+    """With the mean of J."""
+    residuals: Doubles
+    """The mean of r at `x`."""
+    x: Doubles
+    """Where the last of these steps began."""
+    steps: int
+    """The number of steps."""
+
+
 class Problem:
     """Residuals and their derivatives as functions of one vector of all entries."""
 
@@ -260,8 +274,8 @@ class Problem:
         """The number of the images that steps are judged by, and the residuals by them where a step begins."""
         self.differences: Doubles | None = None
         """The columns of the last step if all are differences and its end was as they said, of this size of images."""
-        self.before: tuple[Linear, Doubles, Doubles, int] | None = None
-        """Of the last step: the mean of J over steps, that of r, the place, and the number of steps until then."""
+        self.means_before: Means | None = None
+        """The means where the last step began."""
         self.noise = 0.0
         """The mean square of the noise of a residual from one image."""
         self.columns: Doubles | None = None
@@ -387,18 +401,18 @@ class Problem:
         count the same.
         """
         here = self._linear
-        last, before, place, steps = self.before or (here, now, x, 0)
-        predicting = here.by(last)
+        before = self.means_before or Means(here, now, x, 0)
+        predicting = here.by(before.linear)
         if predicting is None:
             return now
-        if steps and self.noise:
+        if before.steps and self.noise:
             self._linear = predicting
-            predicted = before + self.forward(x - place)
+            predicted = before.residuals + self.forward(x - before.x)
             apart = float(np.mean(np.square(now - predicted)))
             weight = float(np.clip(1 - self.noise / self.images / max(apart, 1e-30), LEAST_WEIGHT, 1))
-            self._linear = here.mixed(last, 1 - min(weight, max(1 / (steps + 1), LEAST_WEIGHT)))
+            self._linear = here.mixed(before.linear, 1 - min(weight, max(1 / (before.steps + 1), LEAST_WEIGHT)))
             now = weight * now + (1 - weight) * predicted
-        self.before = self._linear, now, x, steps + 1
+        self.means_before = Means(self._linear, now, x, before.steps + 1)
         return now
 
     def _columns(self, x: Doubles, seed: int, entries: Iterable[int]) -> Doubles:
@@ -474,7 +488,7 @@ class MatrixFree:
         for v, product in problem.products[::-1]:
             self._extend(v / self._scale, self._scale * product)
         left, gain = self._slope, self._gain(damping)
-        enough = ENOUGH if problem.before is None else ENOUGH_TABULATED
+        enough = ENOUGH if problem.means_before is None else ENOUGH_TABULATED
         for _ in range(min(PRODUCTS, x.size)):
             q = self._apart(left)
             length = float(np.linalg.norm(q))
