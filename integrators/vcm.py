@@ -79,11 +79,10 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
     edges that begin on such a surface and have no other vertices before. The vertices of a path decide that, so it
     is the same for all strategies.
 
-    Parameters: those of `bdpt` (without `strategies`) and of all `PhotonMapping` (`photon_count` is 2^16 by
-    default); there are about as many light paths that leave photons as camera paths that are merged, at least one for
-    sixteen of all. `merging`: the edges of camera paths
-    that are merged, `glossy` (default) or `everywhere`, as in the literature; with sensors to which light can't be
-    traced the first edge is one of the former.
+    Parameters: those of `bdpt` (without `strategies`), those of all `PhotonMapping` (`photon_count` is 2^16 by
+    default), and `merging`: the edges of camera paths that are merged, `glossy` (default) or `everywhere`, as in the
+    literature; with sensors to which light can't be traced the first edge is one of the former. About as many light
+    paths leave photons as camera paths are merged, at least one for sixteen of all.
 
     I. Georgiev, J. Křivánek, T. Davidovič and P. Slusallek, "Light Transport Simulation with Vertex Connection and
     Merging", 2012; T. Hachisuka, J. Pantaleoni and H. W. Jensen, "A Path Space Extension for Robust Light Transport

@@ -58,7 +58,7 @@ class Texture(Plugin):
         return False
 
     def patch(self, si: Any) -> UInt32:
-        """A number for the patch that `si` lies in, another one than on the other side of a jump."""
+        """A number for the patch that `si` lies in; patches on both sides of a jump have different ones."""
         return UInt32(0)
 
     def resolution(self) -> ScalarArray2i:

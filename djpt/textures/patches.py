@@ -1,4 +1,4 @@
-"""Patches of surfaces: the parts within which no texture jumps. The edges between them stick to their surface."""
+"""Patches of surfaces: the parts within which no texture jumps. The edges between them move with their surface."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from djpt.jit.types import Bool, UInt32
 from djpt.textures.base import Texture, textures_in
 from djpt.textures.uv import UVTexture
 
-__all__ = ["Patches", "have_patches", "torn"]
+__all__ = ["Patches", "have_patches", "seams"]
 
 AROUND = {"sphere": (0,), "cylinder": (0,), "cone": (0,), "paraboloid": (0,), "torus": (0, 1), "disk": (1,)}
-"""The texture coordinates of shapes, 0 for u and 1 for v, that are angles: at 0 they meet the end of a full turn."""
+"""The texture coordinates, 0 for u and 1 for v, that are angles, by shapes: their values 0 and 1 are one place."""
 
 CLOSE = 1e-3
-"""How far apart hits may be that lie next to each other, relative to 1 + the largest coordinate."""
+"""The largest distance of two hits that count as neighbours, relative to 1 + the largest coordinate."""
 
 PARTS = 3
-"""A full turn is divided into so many parts: at its end, two different ones meet. Between the others nothing jumps."""
+"""The number of parts of a full turn, so that two different ones meet at its seam; nothing jumps between others."""
 
 
 class Patches:
     """Numbers for the patches of some shapes.
 
     Args:
-        shapes: the shapes, in the order of `SurfaceInteraction3f.shape_index`.
+        shapes: The shapes, in the order of `SurfaceInteraction3f.shape_index`.
     """
 
     def __init__(self, shapes: Sequence[Any]) -> None:
@@ -41,7 +41,7 @@ class Patches:
             for texture in painted(shape):
                 if texture.has_patches():
                     self._textures.setdefault(id(texture), (texture, []))[1].append(number)
-            for axis in torn(shape):
+            for axis in seams(shape):
                 self._turns[axis].append(number)
 
     def __bool__(self) -> bool:
@@ -81,12 +81,12 @@ def painted(shape: Any) -> Iterator[Texture]:
             yield from textures_in(owner)
 
 
-def torn(shape: Any, owner: Any = None) -> Iterator[int]:
-    """The axes of texture coordinates along which a texture, after a full turn, doesn't end as it begins.
+def seams(shape: Any, owner: Any = None) -> Iterator[int]:
+    """The texture coordinates, 0 for u and 1 for v, along which some texture has a seam: it doesn't end as it begins.
 
     Args:
-        shape: the shape.
-        owner: its BSDF or its emitter; None: both.
+        shape: The shape.
+        owner: Its BSDF or its emitter; None: both.
     """
     textures = list(painted(shape) if owner is None else textures_in(owner))
     for axis in AROUND.get(name_of(type(shape)) or "", ()):

@@ -139,7 +139,7 @@ APERTURE = 0.5358
 """The angle in degrees that the sun has in the tables."""
 TRUE_HEIGHT = 1 - math.cos(math.radians(APERTURE) / 2)
 EDGE = 0.5
-"""The outer part of the disc whose light stands for that of its edge in derivatives by the direction of the sun."""
+"""The share of the disc, from its edge inwards, that stands for the edge in derivatives by the sun's direction."""
 PARTS, PACKETS, COSINES = 45, 18, 6
 WAVELENGTHS = 467.069280386
 """The factor between averages over the wavelengths of the sun's spectrum and the colours of the sky."""
@@ -226,11 +226,17 @@ class SunDisc(Plugin):
         return centre.to_world(Vector3f(at.x * scale, at.y * scale, 1 - below))
 
     def radiance(self, cos_theta: Float, chord2: Float, active: Bool | bool) -> Color3f:
-        """The radiance on the disc at an angle theta to the zenith, by the squared distance to the centre.
+        """The radiance on the disc, per lane.
 
-        If that has gradients, the edge of the disc moves: on it, the share s of the disc that lies farther from the
-        centre vanishes, so that the derivative has the term L delta(s) ds. Points of the disc are uniform in s. For
-        delta stands a kernel of the width `EDGE`, without a first moment: its error is of second order.
+        If `chord2` has gradients, the edge of the disc moves. With s, the share of the disc that lies farther from the
+        centre than a point, the edge is at s = 0, and the derivative has the term L delta(s) ds. Points of the disc are
+        uniform in s, so a kernel of the width `EDGE` replaces delta; its first moment is 0, and its error of second
+        order.
+
+        Args:
+            cos_theta: Cosine of the angle to the zenith.
+            chord2: Squared distance to the centre of the disc, on the unit sphere.
+            active: Lanes that count.
         """
         value = self._radiance(cos_theta, chord2, active)
         if not dr.grad_enabled(chord2):

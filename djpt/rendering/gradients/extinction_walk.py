@@ -55,7 +55,7 @@ FIRST, AGAIN, EXTINCTION = 0, 1, 2
 TAKEN = 0.3
 """The fraction of samples with an extinction walk: beginning in the medium, it takes longer than a camera path.
 
-Noise times time is least between 0.2 and 1, in thin and in dense clouds."""
+The fraction of least variance times time lies between 0.2 and 1, depending on how dense a cloud is."""
 
 
 def needed(scene: Scene, numbering: Numbering) -> bool:

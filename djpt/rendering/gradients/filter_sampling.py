@@ -1,15 +1,16 @@
 """Samples that belong to one pixel each although the film filters: their places are drawn by the filter's weight.
 
-The film shares samples: each counts for all pixels in reach, which is best for an image. A table of derivatives would
-add each of them to the rows of all these pixels, 25 with the default filter. Here a pixel p has samples of its own, at
-places x about its middle with a density in proportion to |f(x - p)|, which count for f / |f|. Their mean has the
-expectation of the film's weighted mean,
+For an image the film shares samples: each counts for all pixels in reach. A table of derivatives would add each of them
+to the rows of all these pixels, up to 25 with the default filter. Here a pixel p has samples of its own, at places x
+about its middle with a density in proportion to |f(x - p)|, which count for f / |f|. Their mean has the expectation of
+the film's weighted mean,
 
     integral of f(x - p) L(x) dx / integral of f(x - p) dx
 
-over all places that have samples, and the noise of a box filter's pixel. That of neighbours is independent, so that
-sums over pixels, which searches ask for, are about as noisy as those of shared samples (M. Ernst, M. Stamminger and
-G. Greiner, "Filter Importance Sampling", IEEE Symposium on Interactive Ray Tracing 2006).
+over all places that have samples. The noise of neighbours is independent, so sums over pixels, which searches ask for,
+are expected to be about as noisy as those of shared samples; that wasn't measured.
+
+M. Ernst, M. Stamminger and G. Greiner, "Filter Importance Sampling", IEEE Symposium on Interactive Ray Tracing 2006.
 """
 
 from __future__ import annotations
@@ -27,14 +28,14 @@ from djpt.samplers import SampleStream
 __all__ = ["FilteredJob", "own_samples"]
 
 CELLS = 2**12
-"""The cells in which a filter is integrated. Pixels end between two of them, if its reach is a multiple of a half."""
+"""The number of cells in which a filter is integrated; pixels end between cells if its reach is a multiple of 0.5."""
 
 QUANTILES = 2**13
-"""The distances that are drawn from: between two of them the density is constant."""
+"""The number of intervals of equal mass from which distances are drawn, with a constant density in each."""
 
 
 def own_samples(job: Job) -> Job | None:
-    """A job for the same image whose samples belong to one pixel each; None if the sensor needs to know the pixel."""
+    """A job for the same image whose samples belong to one pixel each; None if rays depend on the pixel."""
     if not job.film.filters:
         return job
     if job.sensor.by_pixel:
@@ -44,7 +45,7 @@ def own_samples(job: Job) -> Job | None:
 
 
 class Distances:
-    """Distances from a pixel's middle along one axis, as a filter weighs them."""
+    """The distribution of distances from a pixel's middle along an axis, in proportion to a filter's absolute value."""
 
     def __init__(self, rfilter: ReconstructionFilter) -> None:
         self._filter, self._reach = rfilter, rfilter.radius()
@@ -59,7 +60,7 @@ class Distances:
         self._quantiles = self._distances()
 
     def _distances(self) -> Float:
-        """The distances below which so many shares of the mass lie."""
+        """The distances below which 0, 1, .. `QUANTILES` equal parts of the mass lie."""
         wanted = Float(dr.arange(UInt32, QUANTILES + 1)) * (self._total / QUANTILES)
         low = dr.zeros(UInt32, QUANTILES + 1)
         for power in reversed(range(CELLS.bit_length() - 1)):
@@ -72,13 +73,13 @@ class Distances:
         return found
 
     def _at(self, sums: Float, distance: Float) -> Float:
-        """Running sums at a distance."""
+        """Cumulative sums over cells, interpolated at a distance."""
         place = dr.clip((distance + self._reach) * (1 / self._width), 0, CELLS)
         cell = dr.minimum(UInt32(place), CELLS - 1)
         return dr.lerp(dr.gather(Float, sums, cell), dr.gather(Float, sums, cell + 1), place - Float(cell))
 
     def between(self, low: Float, high: Float, u: Float) -> Float:
-        """A distance between two, by a number in [0, 1)."""
+        """A sample of the distribution between two distances, by a number u in [0, 1)."""
         first, last = self._at(self._mass, low), self._at(self._mass, high)
         place = dr.lerp(first, last, u) * (QUANTILES / self._total)
         number = dr.minimum(UInt32(place), QUANTILES - 1)
@@ -86,7 +87,7 @@ class Distances:
         return dr.clip(dr.lerp(below, above, place - Float(number)), low, high)
 
     def weight(self, low: Float, high: Float, distance: Float) -> Float:
-        """What a distance that was drawn between two counts for: the filter's sign, so that the mean of all is 1."""
+        """The weight of a distance that was sampled between two: the filter's sign, scaled so that the mean is 1."""
         mass, signed = (self._at(sums, high) - self._at(sums, low) for sums in (self._mass, self._signed))
         found: Float = dr.select(self._filter.eval(distance) < 0, -mass, mass) / signed
         return found
@@ -94,13 +95,12 @@ class Distances:
 
 @dataclass
 class FilteredJob(Job):
-    """A job whose samples are drawn about the middle of their pixel, in proportion to a filter.
-
-    Its film has none. `bordered`: whether there are samples outside of the crop window.
-    """
+    """A job whose samples are drawn about the middle of their pixel, in proportion to a filter; its film has none."""
 
     rfilter: ReconstructionFilter = field(kw_only=True)
+    """The filter of the image."""
     bordered: bool = field(kw_only=True)
+    """Whether there are samples outside of the crop window."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -114,7 +114,7 @@ class FilteredJob(Job):
         return self.ray_at(place, stream), offset + 0.5
 
     def weight(self, pixel: UInt32, k: UInt32) -> Float:
-        """What a sample counts for."""
+        """The weight of the sample k of each pixel, whose mean is 1; negative in lobes of the filter."""
         if not self.rfilter.has_lobes:
             return Float(1)
         u, result = self.stream(pixel, k).next_2d(), Float(1)

@@ -6,9 +6,9 @@ with the same samples every time. Here one replay adds the derivatives of sample
     J[channel of a pixel; entry] = mean over the samples of the pixel of d channel / d entry,
 
 by one reverse derivative per channel at each vertex. From then on products are sums over tables in memory. A colour of
-a material changes no other channel than its own: tables of what vanishes whatever the ray, which shows while the loop
-is traced, aren't made. Where the film filters, pixels have samples of their own
-(`djpt.rendering.gradients.filter_sampling`), and so rows of their own.
+a material changes no other channel than its own. A derivative that vanishes for all rays is a literal 0 while the loop
+is traced, and gets no table. Where the film filters, pixels have samples of their own
+(`djpt.rendering.gradients.filter_sampling`), so that each lane still adds to one row.
 """
 
 from __future__ import annotations
@@ -36,14 +36,13 @@ from djpt.rendering.schedules.passes import image_of_samples, register_spp
 __all__ = ["Jacobian", "KnownDerivative", "jacobian_of"]
 
 LARGEST = 2**24
-"""The most numbers of a Jacobian, 64 MiB: to read more takes longer than to replay paths."""
+"""The most numbers of a Jacobian, 64 MiB: to read more is expected to take longer than to replay paths."""
 
 UNIFORM = 0
 """The number of the space whose entries are the parameters that aren't tables."""
 
-
 PACKED = 4
-"""The numbers of a pixel that stand side by side: one addition of four takes less time than one of one."""
+"""The numbers of a pixel that stand side by side, and are added at once: docs/performance.md has the gain."""
 
 
 @dataclass
@@ -69,7 +68,7 @@ class Jacobian:
     packs: list[Pack]
 
     def mixed(self, other: Jacobian, share: float) -> Jacobian:
-        """The mean with a Jacobian of other samples, which counts for a `share`."""
+        """The weighted mean with a Jacobian of other samples, whose weight is `share`, in [0, 1]."""
         one, two = (dr.opaque(Float, number) for number in (1 - share, share))
         pairs = zip(self.packs, other.packs, strict=True)
         packs = [replace(a, memory=a.memory * one + b.memory * two) for a, b in pairs]
@@ -86,7 +85,7 @@ def row_length(pixels: int) -> int:
 
 
 class Spaces:
-    """What the columns of a Jacobian are: the entries of the parameters in the order of the buffers that hold them."""
+    """The columns of a Jacobian: the entries of the parameters, in the order of the buffers that hold them."""
 
     def __init__(self, derivative: ReplayDerivative) -> None:
         numbering, self.parameters = derivative.numbering, derivative.parameters
@@ -163,7 +162,7 @@ class Rows(Mode):
 
     def __init__(self, job: Job, spaces: Spaces, pixel: UInt32) -> None:
         self.packs: dict[int, list[Pack]] = {}
-        """What is added to, by the numbers of spaces."""
+        """The tables, by the numbers of spaces."""
         self._job, self._spaces, self._pixel = job, spaces, pixel
         self._pixels, self._inverse = dr.opaque(UInt32, dr.width(pixel)), dr.opaque(Float, 1 / job.spp)
         self._length = row_length(dr.width(pixel))
@@ -174,7 +173,7 @@ class Rows(Mode):
     def delta_of(self, slot: UInt32, active: Bool) -> Color3f:
         if not isinstance(self._job, FilteredJob):
             return Color3f(1)
-        # What a sample counts for.
+        # The weight of a sample.
         return Color3f(self._job.weight(self._pixel, slot // self._pixels))
 
     def differentiate(self, walk: Walk, leaves: Leaves, outgoing: Color3f, active: Bool) -> tuple[Color3f, list[Float]]:
@@ -220,7 +219,7 @@ class Rows(Mode):
 
 
 def jacobian_of(derivative: Any) -> Jacobian | None:
-    """The Jacobian of an image whose derivative is found by replay; None where there is none, or it would be large."""
+    """The Jacobian of an image whose derivative is found by replay; None for others, or if it would be too large."""
     if not isinstance(derivative, ReplayDerivative):
         return None
     job = own_samples(derivative.job)
@@ -285,7 +284,7 @@ class KnownDerivative:
     def _with_space(
         self, space: int, tangents: list[Any], changes: Tangents, pixel: UInt32, channels: list[Float]
     ) -> list[Float]:
-        """The changes of channels with those by the entries of a space."""
+        """The changes of the channels, with those due to the entries of a space added."""
         packs = [pack for pack in self.jacobian.packs if pack.space == space]
         entries, length = dr.opaque(UInt32, self._spaces.entries(space)), dr.opaque(UInt32, self._length)
         change_of = self._spaces.changes(space, tangents, changes)

@@ -183,12 +183,12 @@ def first_walks(
     lanes: Lanes,
     slots: UInt32,
     slot_stride: UInt32,
-    begun: Callable[[PathState], PathState],
+    prepared: Callable[[PathState], PathState],
 ) -> FirstWalks:
     """Follow all samples once.
 
-    `scene` is the view of the second walk: what has derivatives decides where paths go on. `begun` completes the state
-    of a path that begins.
+    `scene` is the view of the second walk: what has derivatives decides where paths go on. `prepared` adds to the state
+    of a path that begins what the second walk needs.
     """
     integrator, count = job.integrator, dr.width(lanes.pixel)
     assert isinstance(integrator, PathIntegrator)
@@ -197,7 +197,7 @@ def first_walks(
     start = FirstLane(
         ray=wide(ray, count),
         sampler=sampler,
-        path=wide(begun(integrator.begin(job.scene, sampler)), count),
+        path=wide(prepared(integrator.begin(job.scene, sampler)), count),
         radiance=dr.zeros(Color3f, count),
         behind=blank(scene, count),
         k=wide(lanes.first, count),
@@ -221,7 +221,7 @@ def first_walks(
             dr.scatter(channel, value, lane.slot, finished)
         k = dr.select(finished, lane.k + lanes.stride, lane.k)
         fresh, camera_ray, _ = job.begin(lanes.pixel, k, x, y)
-        restart = begun(integrator.begin(job.scene, fresh))
+        restart = prepared(integrator.begin(job.scene, fresh))
         return FirstLane(
             ray=dr.select(ended, camera_ray, dr.detach(v.ray)),
             sampler=dr.select(ended, fresh, lane.sampler),

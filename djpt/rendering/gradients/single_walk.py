@@ -35,7 +35,7 @@ from djpt.rendering.schedules.unmasked_loop import run_free
 __all__ = ["possible", "run"]
 
 MOST = 12
-"""The most sums of gradients in reverse mode: each has a factor per channel, of which colours use one."""
+"""The most sums of gradients in reverse mode. A lane carries three factors for each, one per channel."""
 
 
 def possible(mode: Mode) -> bool:
@@ -59,7 +59,7 @@ class Lane:
     """Reverse mode: derivative of the loss with respect to the sample. Forward mode: derivative of the sample."""
     sums: list[Float]
     factors: list[Float]
-    """The sums D: in forward mode by channels, in reverse mode [sum of gradients][channel]."""
+    """The sums D: [channel] in forward mode, [sum of gradients][channel] in reverse mode."""
 
 
 def run(
@@ -159,7 +159,7 @@ def in_forward(lane: Lane, v: Vertex, here: Color3f, runs: Bool) -> list[Float]:
 
 
 def after_weight(path: PathState, v: Vertex) -> tuple[Color3f, Color3f]:
-    """What the factors before a vertex are multiplied by, and what the derivative of its weight is, by channels."""
+    """Per channel, the numbers by which the factors so far and the derivative of a vertex's weight are multiplied."""
     weight = dr.detach(v.weight)
     if path.zero_weight is None or v.state.zero_weight is None:
         return Color3f(1), dr.select(weight != 0, dr.rcp(weight), 0)

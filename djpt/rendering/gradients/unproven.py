@@ -26,7 +26,7 @@ from djpt.scene.intersecting_shapes import between, encloses, is_convex
 from djpt.sensors.orthographic import Orthographic
 from djpt.sensors.projective import Central, ProjectiveCamera
 from djpt.textures.base import textures_in
-from djpt.textures.patches import torn
+from djpt.textures.patches import seams
 
 if TYPE_CHECKING:
     from djpt.integrators.base import Integrator
@@ -182,7 +182,7 @@ def jumping_textures(rendering: Rendering) -> Iterator[str]:
             for texture in textures_in(lamp):
                 if texture.has_patches():
                     yield f"'{shape.id()}' has the texture {named(texture)}"
-            if list(torn(shape, lamp)):
+            if list(seams(shape, lamp)):
                 yield f"'{shape.id()}' has the light {named(lamp)}, whose texture doesn't end as it begins"
     # What slides through the light of a texture sees its edges.
     for light in rendering.emitters(EmitterFlags.Delta) if rendering.movers() else ():
