@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 import drjit as dr
 
-from djpt.core.records import BSDFFlags, Ray3f, has_flag
+from djpt.core.records import Ray3f
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
 from djpt.integrators.bdpt import BidirectionalPath
-from djpt.integrators.bidirectional.subpath import LightVertex, Subpath, mis_weight
+from djpt.integrators.bidirectional.subpath import LightVertex, Subpath, carried, mis_weight
 from djpt.integrators.paths.path_vertex import (
     MediumVertex,
     NextVertex,
@@ -175,11 +175,7 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
         onward = super().continued(scene, subpath, vertex, s, throughput)
         if subpath.merging is None:
             return replace(onward, merges=Bool(self.goes_on_sharp(subpath, vertex)))
-        cos = vertex.cos(onward.ray.d)
-        delta = has_flag(s.sample.sampled_type, BSDFFlags.Delta)
-        on = subpath.merging * self.h(s.back_of_sample) + self.merging(scene, vertex)
-        share = dr.select(delta, self.h(cos) * subpath.merging, self.h(cos * dr.rcp(s.sample.pdf)) * on)
-        return replace(onward, merging=share)
+        return replace(onward, merging=carried(subpath.merging, self.merging(scene, vertex), vertex, s, self.h))
 
     def merging(self, scene: Scene, vertex: PathVertex) -> Float:
         """The sum of h(density) of all ways to merge paths at a vertex."""

@@ -53,6 +53,7 @@ __all__ = [
     "LightVertex",
     "Subpath",
     "balance",
+    "carried",
     "departure",
     "is_beam",
     "meeting",
@@ -136,16 +137,12 @@ class Subpath:
 
     def scattered(self, vertex: PathVertex, s: Scattering, throughput: Color3f, h: Heuristic) -> Subpath:
         """The subpath continued from a vertex by the scattering `s`, with the given throughput."""
-        d = vertex.direction(s)
-        cos = vertex.cos(d)
         delta = has_flag(s.sample.sampled_type, BSDFFlags.Delta)
-        # No strategy joins two vertices at a delta lobe, whose densities of both ways are equal.
-        on = self.vc * h(s.back_of_sample) + self.vcm
         return Subpath(
-            ray=vertex.ray(d),
+            ray=vertex.ray(vertex.direction(s)),
             throughput=throughput,
             vcm=dr.select(delta, 0, h(dr.rcp(s.sample.pdf))),
-            vc=dr.select(delta, self.vc * h(cos), h(cos * dr.rcp(s.sample.pdf)) * on),
+            vc=carried(self.vc, self.vcm, vertex, s, h),
             before=Float(0),
             eta=None if self.eta is None else self.eta * s.sample.eta,
             depth=self.depth + 1,
@@ -163,6 +160,15 @@ class Subpath:
             merging=None if self.merging is None else dr.select(passes, self.merging, other.merging),
             merges=None if self.merges is None else dr.select(passes, self.merges, other.merges),
         )
+
+
+def carried(ratios: Float, added: Float, vertex: PathVertex, s: Scattering, h: Heuristic) -> Float:
+    """A sum of ratios of densities, such as `vc`, behind a scattering at a vertex, where `added` joins it."""
+    cos = vertex.cos(vertex.direction(s))
+    delta = has_flag(s.sample.sampled_type, BSDFFlags.Delta)
+    # No strategy joins two vertices at a delta lobe, whose densities of both ways are equal.
+    on = ratios * h(s.back_of_sample) + added
+    return dr.select(delta, ratios * h(cos), h(cos * dr.rcp(s.sample.pdf)) * on)
 
 
 def scaled(
