@@ -25,7 +25,7 @@ from djpt.core.warp import square_to_uniform_sphere
 from djpt.description.plugin import HIDDEN
 from djpt.description.properties import Properties
 from djpt.description.registry import register_shape
-from djpt.jit.kernels import as_float, as_vector
+from djpt.jit.kernels import as_float, as_vector, maximum
 from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.shapes.axes import AxisPool, ProjectedRay
 from djpt.shapes.base import Hit, Shape
@@ -136,10 +136,11 @@ class Sphere(Shape):
         closest = dr.fma(d, middle, o)
         reach = dr.sqrt((dr.square(self.radius) - dr.squared_norm(closest)) * inv_length_squared)
         # As whole numbers, less one, the bits of floats that aren't hits exceed those of any maxt: 0, negative ones,
-        # and the NaN of rays that pass by. So one comparison is enough. (The distance loses its last bit.)
+        # and the NaN of rays that pass by. So one comparison is enough. (The distance loses its last bit.) A negative
+        # maxt would exceed them, too.
         near, far = (UInt32(dr.reinterpret_array(UInt32, t)) - 1 for t in (middle - reach, middle + reach))
         t = UInt32(dr.minimum(near, far))
-        hit = t < UInt32(dr.reinterpret_array(UInt32, maxt))
+        hit = t < UInt32(dr.reinterpret_array(UInt32, maximum(maxt, 0)))
         return Hit(hit, Float(dr.reinterpret_array(Float, t)), UInt32(numbers[0]))
 
     def occludes(self, ray: ProjectedRay, numbers: Sequence[int]) -> Bool:

@@ -161,6 +161,10 @@ def test_maxt_and_shadow_test(name: str, seed: int) -> None:
         hits_front = np.isfinite(t) & reached
         np.testing.assert_array_equal(valid, hits_front)
         np.testing.assert_array_equal(np.array(scene.ray_test(short)), valid)
+    for end in (0.0, -1.0):
+        nowhere = ray(o, d, np.full(RAYS, end))
+        assert not np.array(scene.ray_intersect_preliminary(nowhere).is_valid()).any()
+        assert not np.array(scene.ray_test(nowhere)).any()
 
 
 @pytest.mark.parametrize("name", LOCAL)
