@@ -148,7 +148,8 @@ class DirectProjectiveIntegrator(PSIntegrator):
             behind = scene.ray_intersect(ray, active=active)
             back, front = (point.emitter(scene).eval(point, active) for point in (behind, si))
         else:
-            back = self.shade(scene, sampler, ray, 0, None, active)
+            # The same random numbers on both sides: where they look alike, the difference vanishes.
+            back = self.shade(scene, sampler.clone(), ray, 0, None, active)
             front = self.shade(scene, sampler, ray, 0, si, active)
         return dr.select(active, Color3f(front), 0), dr.select(active, Color3f(back), 0), active
 

@@ -200,7 +200,8 @@ class PathProjectiveIntegrator(PSIntegrator):
         ray = ss.spawn_ray()
         si, active = foreground(scene, scene.silhouette_shapes(), ss, active)
         active &= ~self.followed_by_lines(scene, ray, si, active)
-        back = self.shade(scene, sampler, ray, curr_depth, None, active)
+        # The same random numbers on both sides: where they look alike, the difference vanishes.
+        back = self.shade(scene, sampler.clone(), ray, curr_depth, None, active)
         front = self.shade(scene, sampler, ray, curr_depth, si, active)
         return dr.select(active, Color3f(front), 0), dr.select(active, Color3f(back), 0), active
 
