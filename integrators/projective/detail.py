@@ -25,7 +25,7 @@ from djpt.integrators.projective.guiding import (
 )
 from djpt.integrators.projective.outlines import Outlines
 from djpt.integrators.projective.projection import ProjectOperation
-from djpt.integrators.projective.receivers import Receiver
+from djpt.integrators.projective.receivers import Receiver, light_of_lamps
 from djpt.integrators.projective.splat import keep
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f
 from djpt.sensors.mapped import MappedCamera
@@ -267,6 +267,7 @@ class ProjectiveDetail:
             active = active & reached
             front, back, known = parent.sample_radiances(scene, ss, edges - 1, sampler, active)
             active = active & known
+            back = back - light_of_lamps(scene, ss, active)
             weight = dr.select(active, importance * (ss.foreshortening * dr.rcp(ss.pdf)), 0)
             if preprocess:
                 reach = Receiver(parent, scene, sensor, ss, place, edges, viewer, active).reach()

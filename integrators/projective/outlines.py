@@ -24,8 +24,8 @@ class Outlines:
         shapes: the shapes, each of which has silhouettes; `SilhouetteSample3f.scene_index` counts them.
         viewpoint: the point that they are seen from.
         creases: whether edges between two faces that are both seen belong to them.
-        sight: the place from which each point is seen, if there are many: they are close to `viewpoint`.
-        within: how close.
+        sight: the place from which each point is seen, if it depends on the point; close to `viewpoint`.
+        within: how far from `viewpoint` the places are, if there are many.
     """
 
     def __init__(
@@ -39,7 +39,7 @@ class Outlines:
         self._shapes, self._viewpoint, self._creases, self._sight = shapes, viewpoint, creases, sight
         parts = [
             shape.precompute_silhouette(viewpoint, creases)
-            if sight is None
+            if within == 0
             else shape.silhouette().precompute(viewpoint, creases, within)
             for shape in shapes
         ]
@@ -51,8 +51,14 @@ class Outlines:
         weights = [s * shape.silhouette_sampling_weight() for s, shape in zip(seen, shapes, strict=True)]
         self._among = DiscreteDistribution(Float(weights)) if any(weights) else None
 
-    def sample(self, sample: Point2f, active: Bool | bool = True) -> SilhouetteSample3f:
-        """A point of the outlines, with the direction from the viewpoint to it; `pdf` is per unit length."""
+    def sample(self, sample: Point2f, active: Bool | bool = True, places: Point3f | None = None) -> SilhouetteSample3f:
+        """A point of the outlines, with the direction from the viewpoint to it; `pdf` is per unit length.
+
+        Args:
+            sample: a random point of the unit square.
+            active: the lanes that matter.
+            places: where each lane looks from, `within` reach of the viewpoint; None: from there, or by `sight`.
+        """
         result = SilhouetteSample3f()
         if self._among is None:
             return result
@@ -64,18 +70,24 @@ class Outlines:
             place, part_chance = self._within[k].sample_pmf(u, mine)
             part = dr.gather(UInt32, self._parts[k], place, mine)
             valid = mine & (part_chance > 0) & (chance > 0)
-            ss = self._point(shape, part, sample.y, valid)
+            ss = self._point(shape, part, sample.y, valid, places)
             ss.pdf, ss.scene_index = ss.pdf * part_chance * chance, UInt32(k)
             result = dr.select(valid, ss, result)
         return result
 
-    def _point(self, shape: Any, part: UInt32, along: Float, active: Bool) -> SilhouetteSample3f:
+    def _point(
+        self, shape: Any, part: UInt32, along: Float, active: Bool, places: Point3f | None
+    ) -> SilhouetteSample3f:
         """A point of a part of an outline."""
-        if self._sight is None:
-            ss: SilhouetteSample3f = shape.sample_precomputed_silhouette(self._viewpoint, part, along, active)
+        if self._sight is not None:
+            ss = sampled_from_many(shape, self._viewpoint, self._sight, part, along, active)
+            places = self._sight(ss.p)[0]
+        else:
+            viewpoint = self._viewpoint if places is None else places
+            ss = shape.sample_precomputed_silhouette(viewpoint, part, along, active)
+        if places is None:
             return ss
-        ss = sampled_from_many(shape, self._viewpoint, self._sight, part, along, active)
-        seen = shape.silhouette().seen(self._sight(ss.p)[0], part, self._creases)
+        seen = shape.silhouette().seen(places, part, self._creases)
         ss.discontinuity_type = dr.select(seen, ss.discontinuity_type, 0)
         return ss
 

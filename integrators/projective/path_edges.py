@@ -2,8 +2,8 @@
 
 A path that begins at a silhouette reaches the rough surface that sees it, and is connected to the camera. What a chain
 of smooth surfaces shows to the rough one, or the rough one to the camera, it doesn't find; nor the edges of patches of
-textures, and the curves in which surfaces meet. Here a path begins at the camera, and at one of its rough surfaces a
-random line on the sphere of directions looks for edges.
+textures. Here a path begins at the camera, and at one of its rough surfaces a random line on the sphere of directions
+looks for edges.
 """
 
 from __future__ import annotations
@@ -57,16 +57,8 @@ class Arrival:
         return Arrival(*(dr.select(mask, getattr(self, f.name), getattr(other, f.name)) for f in fields(self)))
 
 
-def path_edges(integrator: Any, scene: Any, sensor: Any, sampler: Any, meetings: bool) -> tuple[Color3f, Point2f, Bool]:
-    """The derivative by random points of such edges, attached, their places on the film, and where there are any.
-
-    Args:
-        integrator: the integrator.
-        scene: the scene.
-        sensor: the camera.
-        sampler: random numbers.
-        meetings: whether surfaces may meet.
-    """
+def path_edges(integrator: Any, scene: Any, sensor: Any, sampler: Any) -> tuple[Color3f, Point2f, Bool]:
+    """The derivative by random points of such edges, attached, their places on the film, and where there are any."""
     window, sensor = Point2f(sensor.film().crop_size()), seen_through(sensor, sampler)
     with dr.suspend_grad():
         place = sampler.next_2d() * window
@@ -98,7 +90,7 @@ def path_edges(integrator: Any, scene: Any, sensor: Any, sampler: Any, meetings:
         return Ray3f(dr.detach(still.spawn_ray(dr.detach(d)).o), d)
 
     bits = random_turns(sampler)
-    lines = Lines(rays, LENGTH, PARTS, bits, depth, meetings, mirrored, start=Point3f(si.p))
+    lines = Lines(rays, LENGTH, PARTS, bits, depth, meetings=False, outlines=mirrored, start=Point3f(si.p))
 
     def scattered(s: Float) -> Color3f:
         """The BSDF in the direction of an edge, by the density of lines."""

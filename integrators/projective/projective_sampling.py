@@ -16,8 +16,8 @@ from djpt.integrators.projective.detail import ProjectiveDetail
 from djpt.integrators.projective.film_edges import FilmEdges
 from djpt.integrators.projective.path_edges import path_edges
 from djpt.integrators.projective.reattach import delta_lights, has_mirrors
-from djpt.integrators.projective.receivers import followed, outlined
-from djpt.integrators.projective.shadows import ShadowEdges
+from djpt.integrators.projective.receivers import followed, only_lamps_shine, outlined, shadowed_lamps
+from djpt.integrators.projective.shadows import LampShadows, ShadowEdges
 from djpt.integrators.projective.splat import attached_splat, keep
 from djpt.jit.frozen import recording
 from djpt.jit.types import Bool, Color3f, Float, Point2f, TensorXf, UInt32
@@ -33,7 +33,7 @@ __all__ = ["PSIntegrator"]
 
 PRIMARY_SEED, GUIDING_SEED, INDIRECT_SEED = 0xFFFFFFFF, 0xAFAFAFAF, 0xAA00AA00
 SHADOW_SEED, CUT_SEED, LENS_SEED, CIRCLE_SEED = 0x77777777, 0x33333333, 0x55555555, 0x99999999
-LINE_SEED, PATH_SEED = 0xCCCCCCCC, 0x66666666
+LINE_SEED, PATH_SEED, LAMP_SEED = 0xCCCCCCCC, 0x66666666, 0xDDDDDDDD
 """Combined with the seed of the image, for samples of their own."""
 
 MOST_LENS_POINTS = 16
@@ -254,21 +254,23 @@ class PSIntegrator(RBIntegrator):
                 shown = scene.replace(silhouettes_of=outlined(scene, camera))
                 total += self._outlines(shown, camera, seed, primary)
             if indirect:
+                total += self._lamp_shadows(all_edges, camera, seed, indirect)
+            if indirect and not only_lamps_shine(all_edges, self.max_depth, self.direct_light_only):
                 with dr.suspend_grad():
                     self.proj_detail.init_indirect_silhouette(all_edges, camera, GUIDING_SEED ^ seed)
                     sampler, count = self.prepare(camera, INDIRECT_SEED ^ seed, indirect, self.aov_names())
                 total += self.render_indirect_silhouette(all_edges, camera, sampler, count)
             meetings = self._surfaces_meet(scene, camera)
-            lines = meetings or has_mirrors(scene) or have_patches(moving_shapes(scene, camera))
-            if primary and lines:
+            unknown = has_mirrors(scene) or have_patches(moving_shapes(scene, camera))
+            if primary and (meetings or unknown):
                 edges = FilmEdges(self, scene, camera, meetings)
                 edges.learn(LINE_SEED ^ seed)
                 sampler, _ = self.prepare(camera, CUT_SEED ^ seed, primary, self.aov_names())
                 value, place, found = edges.estimate(sampler)
                 total += self._splatted(camera, sampler, place, value, found)
-            if indirect and lines and not self.direct_light_only:
+            if indirect and unknown and not self.direct_light_only:
                 sampler, _ = self.prepare(camera, PATH_SEED ^ seed, indirect, self.aov_names())
-                value, place, found = path_edges(self, scene, camera, sampler, meetings)
+                value, place, found = path_edges(self, scene, camera, sampler)
                 total += self._splatted(camera, sampler, place, value, found)
         if primary and camera.has_image_circle and camera.lens_moves():
             sampler, _ = self.prepare(camera, CIRCLE_SEED ^ seed, primary, self.aov_names())
@@ -303,6 +305,15 @@ class PSIntegrator(RBIntegrator):
             for part in [*parts, BeamSides(scene, light)] if has_sides(light) else parts:
                 value, place = part.estimate(self, sensor, sampler)
                 total += self._splatted(sensor, sampler, place, value, Bool(True))
+        return total
+
+    def _lamp_shadows(self, scene: Scene, sensor: Sensor, seed: Any, spp: int) -> TensorXf:
+        """The image of the edges of shadows in the light of lamps, as far as these are followed by themselves."""
+        total, lamps = dr.zeros(TensorXf, self._shape(sensor)), shadowed_lamps(scene)
+        for number, lamp in enumerate(lamps):
+            sampler, _ = self.prepare(sensor, (LAMP_SEED + number) ^ seed, -(-spp // len(lamps)), self.aov_names())
+            value, place = LampShadows(scene, lamp).estimate(self, sensor, sampler)
+            total += self._splatted(sensor, sampler, place, value, Bool(True))
         return total
 
     def _surfaces_meet(self, scene: Scene, sensor: Sensor) -> bool:

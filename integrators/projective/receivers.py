@@ -6,16 +6,22 @@ from typing import Any
 
 import drjit as dr
 
+from djpt.core.lookup import is_one_of
 from djpt.core.records import GRAZING, SHADOW_EPSILON, DirectionSample3f, EmitterFlags, Ray3f, has_flag
+from djpt.emitters.area import Area
 from djpt.integrators.projective.splat import keep
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
-from djpt.scene.intersecting_shapes import between
+from djpt.scene.intersecting_shapes import between, is_sphere
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
-__all__ = ["Receiver", "followed", "lit_receivers"]
+__all__ = ["Receiver", "followed", "light_of_lamps", "lit_receivers", "only_lamps_shine", "shadowed_lamps"]
 
 GUIDED = 0.02
 """The cosine below which guides don't follow how fast points slide."""
+
+
+MOST_LAMPS = 8
+"""If there are more lamps, their shadows are left to the paths that begin at silhouettes."""
 
 
 class Receiver:
@@ -131,6 +137,46 @@ def lit_receivers(
         weight = dr.select(lit, importance * arriving * (across * dr.rcp(ss.pdf)), 0)
         keep(ss, lit, weight, ds.dist, place, edges, viewer)
     return Receiver(integrator, scene, sensor, ss, place, edges, viewer, lit), Color3f(weight), place, lit
+
+
+def shadowed_lamps(scene: Any) -> list[Any]:
+    """The shapes whose shadows `djpt.integrators.projective.shadows.LampShadows` follows.
+
+    These are lamps that hide no part of themselves, and whose area is known.
+    """
+    lamps = [shape for shape in scene.geometry.contents.shapes if isinstance(shape.emitter(), Area) and shape.has_area]
+    alone = [lamp for lamp in lamps if lamp.plane() is not None or is_sphere(lamp)]
+    return alone if len(alone) <= MOST_LAMPS else []
+
+
+def only_lamps_shine(scene: Any, max_depth: int, direct: bool) -> bool:
+    """Whether other surfaces see no silhouettes but those in front of `shadowed_lamps`, or of points.
+
+    Args:
+        scene: the scene, with the silhouettes that are followed.
+        max_depth: the edges of the longest path.
+        direct: whether surfaces are lit by emitters alone.
+    """
+    lamps = shadowed_lamps(scene)
+    outlined = scene.silhouette_shapes()
+    return (
+        (direct or max_depth <= 2)
+        and all(
+            has_flag(e.flags(), EmitterFlags.Delta) or any(e is lamp.emitter() for lamp in lamps)
+            for e in scene.emitters()
+        )
+        and not any(shape is lamp for shape in outlined for lamp in lamps)
+    )
+
+
+def light_of_lamps(scene: Any, ss: SilhouetteSample3f, active: Bool | bool) -> Color3f:
+    """The light of `shadowed_lamps` that is seen behind silhouettes."""
+    lamps = shadowed_lamps(scene)
+    if not lamps:
+        return Color3f(0)
+    numbers = [k for k, shape in enumerate(scene.geometry.contents.shapes) if any(shape is lamp for lamp in lamps)]
+    behind = scene.ray_intersect(ss.spawn_ray(), active=active)
+    return Color3f(behind.emitter(scene).eval(behind, active & is_one_of(behind.shape_index, numbers)))
 
 
 def rest_of_way(passed: Float, behind: Float) -> Float:

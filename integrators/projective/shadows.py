@@ -1,18 +1,22 @@
-"""The boundary term of shadows in the light of points, and of parallel light: see `docs/theory/moving-geometry.md`."""
+"""The boundary term of shadows in the light of points, of lamps, and in parallel light.
+
+See `docs/theory/moving-geometry.md`.
+"""
 
 from __future__ import annotations
 
 from typing import Any
 
 import drjit as dr
+import numpy as np
 
-from djpt.core.records import EmitterFlags, Interaction3f, has_flag
+from djpt.core.records import DirectionSample3f, EmitterFlags, Interaction3f, has_flag
 from djpt.integrators.projective.detail import FAR, seen_through
 from djpt.integrators.projective.outlines import Outlines
 from djpt.integrators.projective.receivers import lit_receivers
 from djpt.jit.types import Color3f, Point2f, Point3f, UInt32
 
-__all__ = ["ShadowEdges"]
+__all__ = ["LampShadows", "ShadowEdges"]
 
 
 class ShadowEdges:
@@ -49,6 +53,48 @@ class ShadowEdges:
         speed = receiver.speed_at_edge(ds.dist) - dr.dot(self._outlines.follow(ss, active) - ss.p, ss.n)
         if self._moves:
             speed += receiver.speed_by_turn(self._light.sample_direction(it, Point2f(0), active)[0].d, ds.dist)
+        return weight * dr.select(active, speed, 0), place
+
+
+class LampShadows:
+    """The edges of the shadows in the light of a lamp: of each of its points z, as of the light of a point.
+
+    With L the radiance that leaves z towards y, theta the angle to the normal there, and the names above,
+
+        dI = -W L cos(theta) / abs(z - y)^2 <y' - (1 - s) x', n> length(t x d) dl dA.
+
+    Points z stay where they are: what x looks at does, whether or not the lamp moves.
+
+    Args:
+        scene: the scene; those of its shapes throw shadows whose silhouettes are followed.
+        lamp: the lamp, one of `djpt.integrators.projective.receivers.shadowed_lamps`.
+    """
+
+    def __init__(self, scene: Any, lamp: Any) -> None:
+        self._scene, self._lamp = scene, lamp
+        low, high = lamp.world_box()
+        with dr.suspend_grad():
+            middle, reach = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
+            others = [shape for shape in scene.silhouette_shapes() if shape is not lamp]
+            self._outlines = Outlines(others, Point3f(*(float(c) for c in middle)), within=reach)
+
+    def estimate(self, integrator: Any, sensor: Any, sampler: Any) -> tuple[Color3f, Point2f]:
+        """The derivative of the image by random points of the outlines, attached, and their places on the film."""
+        scene, sensor = self._scene, seen_through(sensor, sampler)
+        with dr.suspend_grad():
+            ps = self._lamp.draw_point(sampler.next_2d())
+            ss = self._outlines.sample(sampler.next_2d(), places=Point3f(ps.p))
+            active = ss.is_valid() & (ss.pdf > 0)
+            ds = dr.zeros(DirectionSample3f)
+            way = ps.p - ss.p
+            ds.dist = dr.norm(way)
+            ss.d = ds.d = way / ds.dist
+            cosine = -dr.dot(ds.d, ps.n)
+            active &= cosine > 0
+            per_area = self._lamp.emitter().radiance.eval(ps, active)
+            arriving = dr.select(active, per_area * (cosine / (dr.square(ds.dist) * ps.pdf)), 0)
+        receiver, weight, place, active = lit_receivers(integrator, scene, sensor, sampler, ss, ds, arriving, active)
+        speed = receiver.speed_at_edge(ds.dist) - dr.dot(self._outlines.follow(ss, active) - ss.p, ss.n)
         return weight * dr.select(active, speed, 0), place
 
 

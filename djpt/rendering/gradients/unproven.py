@@ -220,11 +220,11 @@ def lit_by_lamps_alone(integrator: Any) -> bool:
 
 
 def intersections(rendering: Rendering) -> Iterator[str]:
-    """Lamps that cut or touch another shape, where that is seen not only by the camera."""
-    if lit_by_lamps_alone(rendering.integrator):
-        for shape, other in meeting_pairs(rendering.seen, rendering.passes_by()):
-            if shape.emitter() is not None or other.emitter() is not None:
-                yield f"'{shape.id()}' and '{other.id()}' intersect or touch"
+    """Shapes that a moving one cuts or touches, where that is seen not only by the camera."""
+    direct = direct_light_only(rendering.integrator)
+    for shape, other in meeting_pairs(rendering.seen, rendering.passes_by()):
+        if not direct or shape.emitter() is not None or other.emitter() is not None:
+            yield f"'{shape.id()}' and '{other.id()}' intersect or touch"
 
 
 def unknown_outlines(rendering: Rendering) -> Iterator[str]:
@@ -371,9 +371,9 @@ CASES: tuple[Case, ...] = (
         light_paths,
     ),
     Case(
-        "a lamp that cuts or touches another shape, of which one moves, by 'direct_projective'",
-        "the curve in which they meet is followed only where the camera sees it",
-        "leave a gap between them, or render with 'prb_projective'",
+        "a moving shape that cuts or touches another one, if one of them shines or paths have more than two edges",
+        "the light near the curve in which they meet isn't followed",
+        "leave a gap between them, or set 'max_depth' to 2",
         intersections,
         needs_numbers=True,
     ),

@@ -279,10 +279,12 @@ class MeshSilhouette(Silhouette):
         # The angle in which an edge is seen: a chord of the unit sphere is twice the sine of half of its angle.
         angle = 2 * dr.safe_asin(0.5 * dr.norm(to_b - to_a))
         if creases:
-            # Of smooth meshes light jumps at edges inside the outline by about the angle between the triangles.
+            # Of smooth meshes light jumps at edges inside the outline, where it arrives between the triangles' planes:
+            # the root mean square of jumps grows like the root of the angle.
             _, _, own, other = self.normals(edge, True)
             smooth = shared & ~self.creases(edge, own, other) & ~self._counts(edge, a - viewpoint, False, within)
-            angle *= dr.select(smooth, dr.safe_sqrt(1 - dr.square(dr.dot(own, other))), 1)
+            sine = dr.safe_sqrt(1 - dr.square(dr.dot(own, other)))
+            angle *= dr.select(smooth, dr.sqrt(sine), 1)
         return part, dr.gather(Float, angle, part)
 
     def seen(self, viewpoint: Point3f, part: UInt32, creases: bool) -> Bool:
