@@ -156,8 +156,11 @@ class BSDF(Plugin):
         """The shading frame that the BSDF works in, in world space: that of `si` unless the BSDF tilts it."""
         return si.sh_frame
 
-    def has_jumps(self) -> bool:
-        """True if values jump with the place, not only because textures do, or parts of a surface hide others."""
+    def has_jumps(self, interpolated: bool = False) -> bool:
+        """True if values jump with the place, not only because textures do, or parts of a surface hide others.
+
+        `interpolated`: on a mesh with interpolated normals, whose triangles cut off light that these face.
+        """
         return False
 
     def needs_differentials(self) -> bool:

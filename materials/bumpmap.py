@@ -54,7 +54,7 @@ class BumpMap(PerturbedBSDF):
         self.move_nested(frame)
         self.nested_texture = frame.rescaled(self.nested_texture, 1)
 
-    def has_jumps(self) -> bool:
+    def has_jumps(self, interpolated: bool = False) -> bool:
         """True: the slopes of interpolated heights change from texel to texel."""
         return True
 

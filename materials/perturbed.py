@@ -91,10 +91,10 @@ class PerturbedBSDF(NestingBSDF):
     def components(self) -> tuple[int, ...]:
         return self.nested_bsdf.components()
 
-    def has_jumps(self) -> bool:
+    def has_jumps(self, interpolated: bool = False) -> bool:
         """Whether light is cut off at the surface's horizon, or a smooth lobe is turned to the other side of it."""
         smooth = BSDFFlags.DeltaReflection | BSDFFlags.DeltaTransmission
-        return not self.use_shadowing_function or has_flag(self.flags(), smooth)
+        return interpolated or not self.use_shadowing_function or has_flag(self.flags(), smooth)
 
     def at(self, ctx: BSDFContext, si: SurfaceInteraction3f, active: Bool | bool) -> BSDFAtPoint:
         return PerturbedAtPoint(self, ctx, si, active)

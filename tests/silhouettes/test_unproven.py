@@ -76,16 +76,16 @@ def ball(bsdf: Any = PLASTER, **more: Any) -> dict[str, Any]:
     return {"type": "sphere", "bsdf": bsdf, **more}
 
 
-def smooth_mirror() -> Any:
+def smooth_mesh(bsdf: dict[str, Any]) -> Any:
     """A mesh with interpolated normals."""
     data = globe().data()
-    return djpt.Mesh("moving", data.positions, data.indices, data.normals, props={"bsdf": {"type": "conductor"}})
+    return djpt.Mesh("moving", data.positions, data.indices, data.normals, props={"bsdf": bsdf})
 
 
 MIRROR_BEHIND = {"type": "disk", "bsdf": {"type": "conductor"}, "to_world": T().translate([0, 3, 0])}
 REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     "a smooth mesh like a mirror": (
-        {"moving": smooth_mirror()},
+        {"moving": smooth_mesh({"type": "conductor"})},
         r"'moving' has the BSDF '.*' .conductor., and the edges at which rays leave.*'face_normals'",
     ),
     "a ring and a mirror": (
@@ -106,6 +106,10 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "a normal map on a mirror": (
         {"moving": ball({**NORMALS, "nested": {"type": "conductor"}})},
+        "'moving' has the BSDF '.*' .normalmap., and where slopes",
+    ),
+    "a normal map on a smooth mesh": (
+        {"moving": smooth_mesh({**NORMALS, "nested": PLASTER})},
         "'moving' has the BSDF '.*' .normalmap., and where slopes",
     ),
     "a coarse volume": (

@@ -154,10 +154,11 @@ def bodies_in_mirrors(rendering: Rendering) -> Iterator[str]:
 
 
 def bent_normals(rendering: Rendering) -> Iterator[str]:
-    """Moving shapes with bumps, or with a normal map that cuts off light or bends a mirror."""
+    """Moving shapes with bumps, or with a normal map that cuts off light, bends a mirror or interpolated normals."""
     for shape, bsdf in rendering.bsdfs(of_moving=True):
+        smooth = shape.of_triangles and shape.has_vertex_normals()
         for nested in nested_bsdfs(bsdf):
-            if nested.has_jumps():
+            if nested.has_jumps(smooth):
                 yield f"'{shape.id()}' has the BSDF {named(nested)}"
 
 
@@ -338,10 +339,11 @@ CASES: tuple[Case, ...] = (
         bodies_in_mirrors,
     ),
     Case(
-        "on a shape that moves: a bump map; a normal map on a smooth mirror, glass or plastic, or without "
-        "`use_shadowing_function`",
+        "on a shape that moves: a bump map; a normal map on a smooth mirror, glass or plastic, on a mesh with "
+        "interpolated normals, or without `use_shadowing_function`",
         "where slopes change from texel to texel, or bent normals cut off light, it jumps, and that isn't followed",
-        "use a normal map with its defaults on a rough material, or a mesh with the detail in its vertices",
+        "use a normal map with its defaults on a rough material, of meshes with 'face_normals', or a mesh with the "
+        "detail in its vertices",
         bent_normals,
     ),
     Case(
