@@ -167,6 +167,14 @@ LAMPS: dict[str, tuple[dict[str, Any], str]] = {
 }
 
 
+def test_textures_that_jump_in_indirect_light() -> None:
+    paint = {"type": "diffuse", "reflectance": {"type": "checkerboard"}}
+    scene, _ = moved(room(moving=ball(paint)))
+    with pytest.raises(RenderError, match=r"'moving' has the texture .*'max_depth' to 2"):
+        djpt.render(scene, integrator=integrator("prb_projective", max_depth=3), spp=1)
+    assert dr.grad_enabled(djpt.render(scene, integrator=integrator("prb_projective", max_depth=2), spp=1))
+
+
 @pytest.mark.parametrize("name", LAMPS)
 def test_lamps_whose_edges_only_paths_follow(name: str) -> None:
     nodes, message = LAMPS[name]

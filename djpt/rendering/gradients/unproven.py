@@ -171,8 +171,16 @@ def nested_bsdfs(bsdf: Any) -> Iterator[Any]:
 
 
 def jumping_textures(rendering: Rendering) -> Iterator[str]:
-    """Textures of lights that jump, where that is seen not only by the camera; and volumes that do."""
+    """Textures that jump, where that is seen not only by the camera; and volumes that do."""
+    direct = direct_light_only(rendering.integrator)
     for shape in rendering.passes_by():
+        paint = shape.bsdf()
+        if paint is not None and not direct:
+            for texture in textures_in(paint):
+                if texture.has_patches():
+                    yield f"'{shape.id()}' has the texture {named(texture)}"
+            if list(seams(shape, paint)):
+                yield f"'{shape.id()}' has the BSDF {named(paint)}, whose texture doesn't end as it begins"
         for owner in (shape.bsdf(), shape.emitter()):
             for texture in () if owner is None else textures_in(owner):
                 volume = getattr(texture, "volume", None)
@@ -347,10 +355,10 @@ CASES: tuple[Case, ...] = (
         bent_normals,
     ),
     Case(
-        "a lamp with a `checkerboard` or another texture that jumps, by 'direct_projective'; a `projector` with one; a "
-        "volume with the filter `nearest` as a texture",
+        "a `checkerboard` or another texture that jumps, if paths have more than two edges; on a lamp, by "
+        "'direct_projective', or on a `projector`; a volume with the filter `nearest` as a texture",
         "the edges between its colours aren't followed",
-        "use the filter 'bilinear' or 'trilinear', or, for lamps, render with 'prb_projective'",
+        "set 'max_depth' to 2, use the filter 'bilinear' or 'trilinear', or, for lamps, render with 'prb_projective'",
         jumping_textures,
     ),
     Case(
