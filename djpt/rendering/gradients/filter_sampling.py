@@ -2,8 +2,8 @@
 
 For an image the film shares samples: each counts for all pixels in reach. A table of derivatives would add each of them
 to the rows of all these pixels, up to 25 with the default filter. Here a pixel p has samples of its own, at places x
-about its middle with a density in proportion to |f(x - p)|, which count for f / |f|. Their mean has the expectation of
-the film's weighted mean,
+about its middle with a density in proportion to abs(f(x - p)), which count for f / abs(f). Their mean has the
+expectation of the film's weighted mean,
 
     integral of f(x - p) L(x) dx / integral of f(x - p) dx
 
