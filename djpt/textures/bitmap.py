@@ -214,8 +214,6 @@ class Bitmap(UVTexture):
 
     def patch(self, si: Any) -> UInt32:
         """The number of the texel; beyond the unit square each repetition has numbers of its own."""
-        if not self.has_patches():
-            return UInt32(0)
         x, y = (UInt32(Int32(dr.floor(place))) for place in self.uv(si) * self.counts)
         return x + y * UInt32(0x9E3779B1)
 

@@ -267,17 +267,17 @@ class ProjectiveDetail:
             active = active & reached
             front, back, known = parent.sample_radiances(scene, ss, edges - 1, sampler, active)
             active = active & known
-            back = back - light_of_lamps(scene, ss, active)
+            behind = scene.ray_intersect(ss.spawn_ray(), active=active)
+            back = back - light_of_lamps(scene, behind, active)
             weight = dr.select(active, importance * (ss.foreshortening * dr.rcp(ss.pdf)), 0)
             if preprocess:
                 reach = Receiver(parent, scene, sensor, ss, place, edges, viewer, active).reach()
                 moving = [k for k, s in enumerate(scene.silhouette_shapes()) if s.parameters_grad_enabled()]
                 jump = dr.select(is_one_of(ss.scene_index, moving), dr.abs(front - back), 0)
                 return weight * (jump + back * reach), [], Point2f(0)
-            behind = scene.ray_intersect(ss.spawn_ray(), active=active).t
-            keep(ss, active, weight, front, back, behind, place, edges, viewer)
+            keep(ss, active, weight, front, back, behind.t, place, edges, viewer)
         receiver = Receiver(parent, scene, sensor, ss, place, edges, viewer, active)
-        value = Color3f(front - back) * self.speed(scene, ss, active) + Color3f(back) * receiver.speed_at_edge(behind)
+        value = Color3f(front - back) * self.speed(scene, ss, active) + Color3f(back) * receiver.speed_at_edge(behind.t)
         return Color3f(weight) * value, [], place
 
     def speed(self, scene: Any, ss: SilhouetteSample3f, active: Bool | bool) -> Float:

@@ -261,14 +261,17 @@ class PSIntegrator(RBIntegrator):
                     sampler, count = self.prepare(camera, INDIRECT_SEED ^ seed, indirect, self.aov_names())
                 total += self.render_indirect_silhouette(all_edges, camera, sampler, count)
             meetings = self._surfaces_meet(scene, camera)
-            unknown = has_mirrors(scene) or have_patches(moving_shapes(scene, camera))
+            moving = moving_shapes(scene, camera)
+            unknown = has_mirrors(scene) or have_patches(moving)
             if primary and (meetings or unknown):
                 edges = FilmEdges(self, scene, camera, meetings)
                 edges.learn(LINE_SEED ^ seed)
                 sampler, _ = self.prepare(camera, CUT_SEED ^ seed, primary, self.aov_names())
                 value, place, found = edges.estimate(sampler)
                 total += self._splatted(camera, sampler, place, value, found)
-            if indirect and unknown and not self.direct_light_only:
+            # By paths of two edges, other surfaces see the patches of lamps alone.
+            by_others = self.max_depth > 2 or have_patches([shape for shape in moving if shape.emitter() is not None])
+            if indirect and unknown and by_others and not self.direct_light_only:
                 sampler, _ = self.prepare(camera, PATH_SEED ^ seed, indirect, self.aov_names())
                 value, place, found = path_edges(self, scene, camera, sampler)
                 total += self._splatted(camera, sampler, place, value, found)

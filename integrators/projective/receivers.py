@@ -7,7 +7,15 @@ from typing import Any
 import drjit as dr
 
 from djpt.core.lookup import is_one_of
-from djpt.core.records import GRAZING, SHADOW_EPSILON, DirectionSample3f, EmitterFlags, Ray3f, has_flag
+from djpt.core.records import (
+    GRAZING,
+    SHADOW_EPSILON,
+    DirectionSample3f,
+    EmitterFlags,
+    Ray3f,
+    SurfaceInteraction3f,
+    has_flag,
+)
 from djpt.emitters.area import Area
 from djpt.integrators.projective.splat import keep
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
@@ -169,13 +177,12 @@ def only_lamps_shine(scene: Any, max_depth: int, direct: bool) -> bool:
     )
 
 
-def light_of_lamps(scene: Any, ss: SilhouetteSample3f, active: Bool | bool) -> Color3f:
-    """The light of `shadowed_lamps` that is seen behind silhouettes."""
+def light_of_lamps(scene: Any, behind: SurfaceInteraction3f, active: Bool | bool) -> Color3f:
+    """The light of `shadowed_lamps` at what is seen behind silhouettes."""
     lamps = shadowed_lamps(scene)
     if not lamps:
         return Color3f(0)
     numbers = [k for k, shape in enumerate(scene.geometry.contents.shapes) if any(shape is lamp for lamp in lamps)]
-    behind = scene.ray_intersect(ss.spawn_ray(), active=active)
     return Color3f(behind.emitter(scene).eval(behind, active & is_one_of(behind.shape_index, numbers)))
 
 

@@ -14,7 +14,8 @@ from djpt.core.records import DirectionSample3f, EmitterFlags, Interaction3f, ha
 from djpt.integrators.projective.detail import FAR, seen_through
 from djpt.integrators.projective.outlines import Outlines
 from djpt.integrators.projective.receivers import lit_receivers
-from djpt.jit.types import Color3f, Point2f, Point3f, UInt32
+from djpt.jit.types import Bool, Color3f, Point2f, Point3f, UInt32
+from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
 __all__ = ["LampShadows", "ShadowEdges"]
 
@@ -43,20 +44,29 @@ class ShadowEdges:
         """The derivative of the image by random points of the outlines, attached, and their places on the film."""
         scene, sensor = self._scene, seen_through(sensor, sampler)
         with dr.suspend_grad():
-            ss = self._outlines.sample(sampler.next_2d())
-            active = ss.is_valid() & (ss.pdf > 0)
-            it = dr.zeros(Interaction3f)
-            it.p = ss.p
-            ds, arriving = self._light.sample_direction(it, Point2f(0), active)
+            ss, ds, arriving, active = self._lit_outlines(sampler)
             ss.d = ds.d
         receiver, weight, place, active = lit_receivers(integrator, scene, sensor, sampler, ss, ds, arriving, active)
         speed = receiver.speed_at_edge(ds.dist) - dr.dot(self._outlines.follow(ss, active) - ss.p, ss.n)
         if self._moves:
-            speed += receiver.speed_by_turn(self._light.sample_direction(it, Point2f(0), active)[0].d, ds.dist)
+            speed += receiver.speed_by_turn(self._toward_light(ss.p, active)[0].d, ds.dist)
         return weight * dr.select(active, speed, 0), place
 
+    def _lit_outlines(self, sampler: Any) -> tuple[SilhouetteSample3f, DirectionSample3f, Color3f, Bool]:
+        """Random points of the outlines, the ways from there to the light, the irradiance, and which of them count."""
+        ss = self._outlines.sample(sampler.next_2d())
+        active = ss.is_valid() & (ss.pdf > 0)
+        return ss, *self._toward_light(ss.p, active), active
 
-class LampShadows:
+    def _toward_light(self, p: Point3f, active: Bool) -> tuple[DirectionSample3f, Color3f]:
+        """The way from points to the light, and the irradiance that arrives there."""
+        it = dr.zeros(Interaction3f)
+        it.p = p
+        found: tuple[DirectionSample3f, Color3f] = self._light.sample_direction(it, Point2f(0), active)
+        return found
+
+
+class LampShadows(ShadowEdges):
     """The edges of the shadows in the light of a lamp: of each of its points z, as of the light of a point.
 
     With L the radiance that leaves z towards y, theta the angle to the normal there, and the names above,
@@ -71,31 +81,25 @@ class LampShadows:
     """
 
     def __init__(self, scene: Any, lamp: Any) -> None:
-        self._scene, self._lamp = scene, lamp
+        self._scene, self._lamp, self._moves = scene, lamp, False
         low, high = lamp.world_box()
         with dr.suspend_grad():
             middle, reach = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
             others = [shape for shape in scene.silhouette_shapes() if shape is not lamp]
             self._outlines = Outlines(others, Point3f(*(float(c) for c in middle)), within=reach)
 
-    def estimate(self, integrator: Any, sensor: Any, sampler: Any) -> tuple[Color3f, Point2f]:
-        """The derivative of the image by random points of the outlines, attached, and their places on the film."""
-        scene, sensor = self._scene, seen_through(sensor, sampler)
-        with dr.suspend_grad():
-            ps = self._lamp.draw_point(sampler.next_2d())
-            ss = self._outlines.sample(sampler.next_2d(), places=Point3f(ps.p))
-            active = ss.is_valid() & (ss.pdf > 0)
-            ds = dr.zeros(DirectionSample3f)
-            way = ps.p - ss.p
-            ds.dist = dr.norm(way)
-            ss.d = ds.d = way / ds.dist
-            cosine = -dr.dot(ds.d, ps.n)
-            active &= cosine > 0
-            per_area = self._lamp.emitter().radiance.eval(ps, active)
-            arriving = dr.select(active, per_area * (cosine / (dr.square(ds.dist) * ps.pdf)), 0)
-        receiver, weight, place, active = lit_receivers(integrator, scene, sensor, sampler, ss, ds, arriving, active)
-        speed = receiver.speed_at_edge(ds.dist) - dr.dot(self._outlines.follow(ss, active) - ss.p, ss.n)
-        return weight * dr.select(active, speed, 0), place
+    def _lit_outlines(self, sampler: Any) -> tuple[SilhouetteSample3f, DirectionSample3f, Color3f, Bool]:
+        ps = self._lamp.draw_point(sampler.next_2d())
+        ss = self._outlines.sample(sampler.next_2d(), places=Point3f(ps.p))
+        active = ss.is_valid() & (ss.pdf > 0)
+        ds = dr.zeros(DirectionSample3f)
+        way = ps.p - ss.p
+        ds.dist = dr.norm(way)
+        ds.d = way / ds.dist
+        cosine = -dr.dot(ds.d, ps.n)
+        active &= cosine > 0
+        radiance = self._lamp.emitter().radiance.eval(ps, active)
+        return ss, ds, dr.select(active, radiance * (cosine / (dr.square(ds.dist) * ps.pdf)), 0), active
 
 
 def seen_from(scene: Any, light: Any, infinite: bool) -> Point3f:

@@ -304,6 +304,8 @@ MOTIONS: dict[str, Callable[[Float], Any]] = {
     "turn": turn((0.64, 0.6, 0.48)),
     "grow": grown,
 }
+VIEWS = {"aside": shift(0.5, 0.2, 0), "near": shift(0, 0, 1), "turn": turn((0.6, 0.8, 0), 10)}
+"""How cameras move."""
 SURFACES: dict[str, Callable[[], Node]] = {
     "diffuse": lambda: {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.8, 0.5, 0.3]}},
     "textured": lambda: {"type": "diffuse", "reflectance": spots()},
@@ -491,9 +493,8 @@ def cameras() -> Iterator[Cell]:
         ),
         "orthographic": (flat_camera, ()),
     }
-    motions = {"aside": shift(0.5, 0.2, 0), "near": shift(0, 0, 1), "turn": turn((0.6, 0.8, 0), 10)}
     for kind, (make, numbers) in kinds.items():
-        edits = {name: moved("sensor.to_world", motion) for name, motion in motions.items()}
+        edits = {name: moved("sensor.to_world", motion) for name, motion in VIEWS.items()}
         edits |= {number: number_of_camera(f"sensor.{number}") for number in numbers}
         for name, edit in edits.items():
             for light, integrator in (("point", DIRECT), ("map", PATHS)):
@@ -507,25 +508,14 @@ def cameras() -> Iterator[Cell]:
                 )
 
 
-def chequered_floor() -> Node:
-    """A ball on a floor with many fields."""
+def cameras_over_fields() -> Iterator[Cell]:
+    """A camera that moves over a floor with many fields."""
     fields = {"type": "checkerboard", "to_uv": T().scale([8, 8, 1]), "color0": 0.8, "color1": 0.1}
     floor = {**FLOOR, "bsdf": {"type": "diffuse", "reflectance": fields}}
-    return {"floor": floor, "body": body("sphere", "texels")()}
-
-
-def cameras_over_fields() -> Iterator[Cell]:
-    """A camera that moves over a chequered floor."""
-    motions = {"aside": shift(0.5, 0.2, 0), "near": shift(0, 0, 1), "turn": turn((0.6, 0.8, 0), 10)}
-    for name, motion in motions.items():
+    for name, motion in VIEWS.items():
         for light, integrator in (("point", DIRECT), ("map", PATHS)):
-            yield Cell(
-                "a camera",
-                f"fields, {name}, {light}",
-                lambda light=light: {**chequered_floor(), **LIGHTS[light]()},
-                moved("sensor.to_world", motion),
-                integrator,
-            )
+            nodes = stage(light, floor=floor, body=body("sphere", "texels"))
+            yield Cell("a camera", f"fields, {name}, {light}", nodes, moved("sensor.to_world", motion), integrator)
 
 
 def number_of_camera(key: str) -> Edit:

@@ -172,27 +172,19 @@ def nested_bsdfs(bsdf: Any) -> Iterator[Any]:
 
 def jumping_textures(rendering: Rendering) -> Iterator[str]:
     """Textures that jump, where that is seen not only by the camera; and volumes that do."""
-    direct = direct_light_only(rendering.integrator)
+    paint_is_left_out = not direct_light_only(rendering.integrator)
+    lamps_are_left_out = lit_by_lamps_alone(rendering.integrator)
     for shape in rendering.passes_by():
-        paint = shape.bsdf()
-        if paint is not None and not direct:
-            for texture in textures_in(paint):
-                if texture.has_patches():
-                    yield f"'{shape.id()}' has the texture {named(texture)}"
-            if list(seams(shape, paint)):
-                yield f"'{shape.id()}' has the BSDF {named(paint)}, whose texture doesn't end as it begins"
-        for owner in (shape.bsdf(), shape.emitter()):
+        parts = (("BSDF", shape.bsdf(), paint_is_left_out), ("light", shape.emitter(), lamps_are_left_out))
+        for kind, owner, left_out in parts:
             for texture in () if owner is None else textures_in(owner):
                 volume = getattr(texture, "volume", None)
                 if getattr(volume, "filter_type", "") == "nearest":
                     yield f"'{shape.id()}' has the volume {named(volume)}"
-        lamp = shape.emitter()
-        if lamp is not None and lit_by_lamps_alone(rendering.integrator):
-            for texture in textures_in(lamp):
-                if texture.has_patches():
+                if left_out and texture.has_patches():
                     yield f"'{shape.id()}' has the texture {named(texture)}"
-            if list(seams(shape, lamp)):
-                yield f"'{shape.id()}' has the light {named(lamp)}, whose texture doesn't end as it begins"
+            if owner is not None and left_out and list(seams(shape, owner)):
+                yield f"'{shape.id()}' has the {kind} {named(owner)}, whose texture doesn't end as it begins"
     # What slides through the light of a texture sees its edges.
     for light in rendering.emitters(EmitterFlags.Delta) if rendering.movers() else ():
         for texture in () if light.on_shape else textures_in(light):
