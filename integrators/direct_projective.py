@@ -24,7 +24,6 @@ from djpt.integrators.projective.splat import keep
 from djpt.integrators.projective.weights import mis_weight
 from djpt.jit.types import Bool, Color3f, Float, Point2f, UInt32
 from djpt.materials.base import eval_pdf_light
-from djpt.shapes.silhouettes.foreground import foreground
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
 __all__ = ["DirectProjectiveIntegrator"]
@@ -142,8 +141,7 @@ class DirectProjectiveIntegrator(PSIntegrator):
         if depth not in (0, 1):
             raise RenderError(f"direct_projective: silhouettes are on the first two edges of a path, found {depth}")
         ray = ss.spawn_ray()
-        si, active = foreground(scene, scene.silhouette_shapes(), ss, active)
-        active &= ~self.followed_by_lines(scene, ray, si, active)
+        si, active = self.front(scene, ss, active)
         if depth == 1:
             behind = scene.ray_intersect(ray, active=active)
             back, front = (point.emitter(scene).eval(point, active) for point in (behind, si))

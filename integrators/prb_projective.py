@@ -24,7 +24,6 @@ from djpt.integrators.projective.weights import mis_weight
 from djpt.jit.kernels import opaque
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.materials.base import eval_pdf_light, sample_light
-from djpt.shapes.silhouettes.foreground import foreground
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
 __all__ = ["PathProjectiveIntegrator"]
@@ -198,8 +197,7 @@ class PathProjectiveIntegrator(PSIntegrator):
         self, scene: Any, ss: SilhouetteSample3f, curr_depth: Any, sampler: Any, active: Any
     ) -> tuple[Color3f, Color3f, Bool]:
         ray = ss.spawn_ray()
-        si, active = foreground(scene, scene.silhouette_shapes(), ss, active)
-        active &= ~self.followed_by_lines(scene, ray, si, active)
+        si, active = self.front(scene, ss, active)
         # The same random numbers on both sides: where they look alike, the difference vanishes.
         back = self.shade(scene, sampler.clone(), ray, curr_depth, None, active)
         front = self.shade(scene, sampler, ray, curr_depth, si, active)
@@ -238,7 +236,8 @@ class PathProjectiveIntegrator(PSIntegrator):
             ds, importance = sensor.sample_direction(it, sampler.next_2d(), active)
             edges += dr.select(active, UInt32(1), 0)
             is_second = active & (edges == 3)
-            o_viewer, d_viewer = dr.select(is_second, si.p, o_viewer), dr.select(is_second, -d, d_viewer)
+            back = si.spawn_ray(-d)
+            o_viewer, d_viewer = dr.select(is_second, back.o, o_viewer), dr.select(is_second, back.d, d_viewer)
             connects = active & has_flag(bsdf.flags(), SMOOTH) & dr.any(importance != 0)
             connects &= ~self.hides(scene, si.spawn_ray_to(ds.p), connects)
             count += dr.select(connects, UInt32(1), 0)
@@ -249,7 +248,7 @@ class PathProjectiveIntegrator(PSIntegrator):
             place = dr.select(chosen, ds.uv, place)
             found = dr.select(chosen, edges, found)
 
-            active &= edges + 1 < longest
+            active &= edges < longest
             bs, scattered = carried_on(si, sampler.next_1d(), sampler.next_2d(), active)
             β = dr.select(active, β * scattered, β)
             active &= dr.any(β != 0)

@@ -15,13 +15,13 @@ from djpt.jit.types import Bool, UInt32
 from djpt.textures.base import Texture, textures_in
 from djpt.textures.uv import UVTexture
 
-__all__ = ["Patches", "have_patches", "seams"]
+__all__ = ["Patches", "adjoin", "have_patches", "seams"]
 
 AROUND = {"sphere": (0,), "cylinder": (0,), "cone": (0,), "paraboloid": (0,), "torus": (0, 1), "disk": (1,)}
 """The texture coordinates, 0 for u and 1 for v, that are angles, by shapes: their values 0 and 1 are one place."""
 
 CLOSE = 1e-3
-"""The largest distance of two hits that count as neighbours, relative to 1 + the largest coordinate."""
+"""How far hits that adjoin may be off each other's tangent planes, relative to 1 + the largest coordinate."""
 
 PARTS = 3
 """The number of parts of a full turn, so that two different ones meet at its seam; nothing jumps between others."""
@@ -64,9 +64,18 @@ class Patches:
         """Whether hits on both sides of an edge lie next to each other, on different patches of one shape."""
         if not self:
             return Bool(False)
-        largest = dr.maximum(dr.max(dr.abs(a.p)), dr.max(dr.abs(b.p)))
-        near = a.is_valid() & b.is_valid() & (dr.norm(a.p - b.p) < CLOSE * (1 + largest))
-        return near & (a.shape_index == b.shape_index) & (self.number(a) != self.number(b))
+        return adjoin(a, b) & (a.shape_index == b.shape_index) & (self.number(a) != self.number(b))
+
+
+def adjoin(a: SurfaceInteraction3f, b: SurfaceInteraction3f) -> Bool:
+    """Whether two hits of rays next to each other lie next to each other, too, on one surface or where two meet.
+
+    Along a surface that is seen at a grazing angle they may be far apart, but not off its tangent plane.
+    """
+    gap = a.p - b.p
+    size = CLOSE * (1 + dr.maximum(dr.max(dr.abs(a.p)), dr.max(dr.abs(b.p))))
+    near: Bool = (dr.abs(dr.dot(a.n, gap)) < size) & (dr.abs(dr.dot(b.n, gap)) < size)
+    return near & a.is_valid() & b.is_valid()
 
 
 def have_patches(shapes: Sequence[Any]) -> bool:

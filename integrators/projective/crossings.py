@@ -22,16 +22,20 @@ from djpt.core.records import Ray3f, SurfaceInteraction3f
 from djpt.integrators.projective.smooth_chains import Chains, side_of
 from djpt.integrators.projective.splat import keep
 from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point3f, UInt32, Vector2f
+from djpt.textures.patches import adjoin
 
-__all__ = ["Line", "Lines", "edges_on_lines"]
+__all__ = ["PRECISION", "STRIP", "Line", "Lines", "edges_on_lines"]
 
-BISECTIONS = 12
-CLOSE = 1e-3
-"""How far apart two surfaces may be where they meet, relative to 1 + the largest coordinate."""
+PRECISION = 4e-6
+"""The distance of rays that rounding leaves apart: an angle, or a part of the width of the film."""
+STRIP = 40
+"""The width, in such distances, of the strips beside outlines in which edges of patches are left to the outlines."""
+DIRECTION_STEPS = 12
+"""How often a line beside the first one is divided in halves."""
 BESIDE = 1 / 16
 """How far beside a crossing the direction of an edge is looked for, as a fraction of the reach along the line."""
-NARROWER, LEVELS = 1 / 8, 4
-"""The ratio of such reaches, and how many are tried; the first is a part of a line."""
+NARROWER, NARROWEST = 1 / 8, 4
+"""The ratio of such reaches, the first of which is a part of a line; and how often rays apart the last one holds."""
 
 Line = Callable[[Float, Float], Ray3f]
 """The rays at places along a line and beside it, in one unit."""
@@ -44,6 +48,7 @@ class Lines:
     Args:
         rays: the rays at places: those along the lines are between 0 and `length`.
         length: their length h.
+        apart: the distance along lines of rays that rounding leaves apart: `PRECISION` in their unit.
         parts: how many parts of a line are looked at: edges closer to each other than one may be missed in pairs.
         bits: the turns of the chains of smooth surfaces that the rays take.
         depth: the number of edges before the rays begin.
@@ -54,6 +59,7 @@ class Lines:
 
     rays: Line
     length: float
+    apart: float
     parts: int
     bits: UInt32
     depth: Any
@@ -81,10 +87,7 @@ def edges_on_lines(
             lines.rays(low, Float(0)), lines.rays(high, Float(0)), lines.bits, apart
         )
         a, b = (chains.hit(ray, link, apart) for ray in (ray_a, ray_b))
-        size = CLOSE * (1 + dr.maximum(largest(a), largest(b)))
-        gap = a.p - b.p
-        meet = a.is_valid() & b.is_valid()
-        meet &= (dr.abs(dr.dot(a.n, gap)) < size) & (dr.abs(dr.dot(b.n, gap)) < size)
+        meet = adjoin(a, b)
         # An edge within a shape sticks to it, like its outline.
         meet &= a.shape_index != b.shape_index
         counts = apart & (chains.surface(a) != chains.surface(b))
@@ -93,7 +96,8 @@ def edges_on_lines(
         front_first = a.is_valid() & (~b.is_valid() | (a.t <= b.t))
         front, ray = dr.select(front_first, a, b), dr.select(front_first, ray_a, ray_b)
         hidden = counts & ~meet
-        across = edge_direction(chains, lines, link, 0.5 * (low + high), a, b, ray, front.t, hidden)
+        rim = (link == 0) & chains.patches.differ(a, b) & ~Bool(lines.outlines)
+        across = edge_direction(chains, lines, link, 0.5 * (low + high), a, b, ray, front.t, hidden, rim)
         counts &= meet | (dr.squared_norm(across) > 0)
         depth = lines.depth + link
         # The same random numbers on both sides: where they look alike, the difference vanishes.
@@ -180,11 +184,6 @@ class Edge:
         return dr.select(self.active, g - dr.detach(g), 0), behind
 
 
-def largest(si: SurfaceInteraction3f) -> Float:
-    """The largest coordinate of a hit; 0 without one."""
-    return Float(dr.select(si.is_valid(), dr.max(dr.abs(si.p)), 0))
-
-
 def crossing(chains: Chains, lines: Lines, sampler: Any, active: Bool) -> tuple[Float, Float, Float, Bool]:
     """The places just before and after a point at which the surfaces change, its weight, and where there is one.
 
@@ -245,11 +244,15 @@ def crossing(chains: Chains, lines: Lines, sampler: Any, active: Bool) -> tuple[
             dr.select(third, 2 * times, times),
         )
 
+    steps = dr.opaque(UInt32, bisections(part, lines.apart))
     start = dr.zeros(UInt32, lanes), low, low + part, first, last, chance, count
-    _, low, high, _, _, _, times = dr.while_loop(
-        start, lambda k, *_: apart & (k < BISECTIONS), halve, label="bisection"
-    )
+    _, low, high, _, _, _, times = dr.while_loop(start, lambda k, *_: apart & (k < steps), halve, label="bisection")
     return low, high, times, apart
+
+
+def bisections(part: float, apart: float) -> int:
+    """How often a part of a line is divided in halves."""
+    return max(math.ceil(math.log2(part / apart)), 1)
 
 
 def edge_direction(
@@ -262,13 +265,17 @@ def edge_direction(
     ray: Ray3f,
     t: Float,
     active: Bool,
+    rim: Bool,
 ) -> Normal3f:
     """The unit vector across an edge and the ray that touches it: 0 where it isn't found.
 
-    A second crossing, a little beside the first one, shows in which direction the edge goes on.
+    A second crossing, a little beside the first one, shows in which direction the edge goes on. All edges on a surface
+    end at its outline, along which they run at last, too close to tell which is which. So where `rim` is true, edges in
+    the strip beside the outline don't count: the outline parts what is at the inner border of the strip from what is
+    behind (`SilhouetteSample3f.strip`).
     """
     same = a.is_valid() & b.is_valid() & (a.shape_index == b.shape_index)
-    touch = same & (dr.norm(a.p - b.p) < CLOSE * (1 + largest(a)))
+    touch = same & adjoin(a, b)
 
     def side(place: Float, beside: Float, active: Bool) -> tuple[Bool, Bool]:
         """Whether a chain arrives at the surface on this side of the edge, or on the other side."""
@@ -280,19 +287,18 @@ def edge_direction(
         return first, dr.select(touch, number == chains.surface(b), ~first)
 
     # What is seen there may be narrow: of some steps the largest is taken that reaches beyond the edge alone.
-    def narrow(level: UInt32, reach: Float, found: Bool) -> Any:
+    def narrow(reach: Float, found: Bool) -> Any:
         reach = reach * NARROWER
         there = side(middle - reach, BESIDE * reach, active)[0] & side(middle + reach, BESIDE * reach, active)[1]
-        return level + 1, reach, there
+        return reach, there
 
-    lanes = dr.width(lines.bits)
-    _, reach, found = dr.while_loop(
+    lanes, narrowest = dr.width(lines.bits), dr.opaque(Float, NARROWEST * lines.apart / NARROWER)
+    reach, found = dr.while_loop(
         (
-            dr.zeros(UInt32, lanes),
             dr.full(Float, lines.length / lines.parts / NARROWER, lanes),
             dr.full(Bool, False, lanes),
         ),
-        lambda level, _, found: active & ~found & (level < LEVELS),
+        lambda reach, found: active & ~found & (reach > narrowest),
         narrow,
         label="width of edges",
     )
@@ -303,13 +309,18 @@ def edge_direction(
         ahead, _ = side(half, beside, found)
         return k + 1, dr.select(ahead, half, start), dr.select(ahead, end, half)
 
+    steps = dr.opaque(UInt32, DIRECTION_STEPS)
     _, start, end = dr.while_loop(
         (dr.zeros(UInt32, lanes), middle - reach, middle + reach),
-        lambda k, *_: found & (k < BISECTIONS),
+        lambda k, *_: found & (k < steps),
         halve,
         label="direction of edges",
     )
     along = dr.normalize(Vector2f(0.5 * (start + end) - middle, beside))
+    width = Float(STRIP * lines.apart)
+    s, r = along.y * width, along.x * width
+    inside = side(middle - s, r, found & rim)[0] & side(middle + s, -r, found & rim)[1]
+    found = found & (inside | ~rim)
     # How the point of the ray moves along the edge.
     with dr.resume_grad():
         step = Float(0)

@@ -15,6 +15,7 @@ from djpt.core.lookup import is_one_of
 from djpt.core.records import SHADOW_EPSILON, DiscontinuityFlags, Interaction3f, RayFlags, SurfaceInteraction3f
 from djpt.description.registry import name_of
 from djpt.errors import RenderError
+from djpt.integrators.projective.crossings import PRECISION, STRIP
 from djpt.integrators.projective.guiding import (
     UNIFORM_SHARE,
     BaseGuidingDistr,
@@ -31,6 +32,7 @@ from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f
 from djpt.sensors.mapped import MappedCamera
 from djpt.sensors.orthographic import Orthographic
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
+from djpt.textures.patches import have_patches
 
 __all__ = ["ProjectiveDetail"]
 
@@ -111,7 +113,12 @@ class ProjectiveDetail:
             ray = ss.toward_viewer().spawn_ray()
             it = dr.zeros(Interaction3f)
             it.p = ss.p
-            ray.maxt = sensor.sample_direction(it, Point2f(0))[0].dist * (1 - SHADOW_EPSILON)
+            distance = sensor.sample_direction(it, Point2f(0))[0].dist
+            ray.maxt = distance * (1 - SHADOW_EPSILON)
+            if have_patches(scene.geometry.contents.shapes):
+                window = Point2f(sensor.film().crop_size())
+                width = STRIP * PRECISION * dr.max(window)
+                ss = ss.replaced(sight=distance, strip=width / dr.norm(window * self._film_vectors(sensor, ss)[1]))
             _, importance = sensor.sample_direction(it, Point2f(0), Bool(active))
             if self.parent.hide_emitters:
                 # Lamps are passed by, and so have no outlines.
@@ -265,6 +272,9 @@ class ProjectiveDetail:
                 scene, sensor, ss, parent.max_depth, sampler, active
             )
             active = active & reached
+            if have_patches(scene.geometry.contents.shapes):
+                distance = scene.ray_intersect(ss.toward_viewer().spawn_ray(), active=active).t
+                ss = ss.replaced(sight=distance, strip=STRIP * PRECISION * distance)
             front, back, known = parent.sample_radiances(scene, ss, edges - 1, sampler, active)
             active = active & known
             behind = scene.ray_intersect(ss.spawn_ray(), active=active)

@@ -9,7 +9,7 @@ import drjit as dr
 
 from djpt.core.records import Ray3f
 from djpt.errors import RenderError
-from djpt.integrators.projective.crossings import Lines, edges_on_lines
+from djpt.integrators.projective.crossings import PRECISION, Lines, edges_on_lines
 from djpt.integrators.projective.detail import seen_through
 from djpt.integrators.projective.guiding import UNIFORM_SHARE, BaseGuidingDistr, OcSpaceDistr, UniformDistr, places_of
 from djpt.integrators.projective.reattach import has_mirrors
@@ -103,7 +103,8 @@ class FilmEdges:
             found: Ray3f = sensor.sample_ray_differential(0, 0, place(s, r) / window, Point2f(0))[0]
             return found
 
-        lines = Lines(rays, length, parts, bits, 0, self._meetings)
+        apart = PRECISION * max(self._sensor.film().crop_size())
+        lines = Lines(rays, length, apart, parts, bits, 0, self._meetings)
         value, mass, found = edges_on_lines(
             self._integrator, self._chains, lines, sampler, Bool(True), lambda _: Color3f(dr.detach(weight))
         )

@@ -17,7 +17,7 @@ import drjit as dr
 from djpt.core.frame import Frame3f
 from djpt.core.records import BSDFContext, BSDFFlags, DirectionSample3f, Ray3f, SurfaceInteraction3f, has_flag
 from djpt.core.warp import square_to_uniform_sphere
-from djpt.integrators.projective.crossings import Lines, edges_on_lines
+from djpt.integrators.projective.crossings import PRECISION, Lines, edges_on_lines
 from djpt.integrators.projective.detail import seen_through
 from djpt.integrators.projective.smooth_chains import MOST_CHAIN_LINKS, Chains, random_turns
 from djpt.integrators.projective.splat import keep
@@ -57,7 +57,7 @@ class Arrival:
         return Arrival(*(dr.select(mask, getattr(self, f.name), getattr(other, f.name)) for f in fields(self)))
 
 
-def path_edges(integrator: Any, scene: Any, sensor: Any, sampler: Any) -> tuple[Color3f, Point2f, Bool]:
+def path_edges(integrator: Any, scene: Any, sensor: Any, sampler: Any, meetings: bool) -> tuple[Color3f, Point2f, Bool]:
     """The derivative by random points of such edges, attached, their places on the film, and where there are any."""
     window, sensor = Point2f(sensor.film().crop_size()), seen_through(sensor, sampler)
     with dr.suspend_grad():
@@ -90,7 +90,9 @@ def path_edges(integrator: Any, scene: Any, sensor: Any, sampler: Any) -> tuple[
         return Ray3f(dr.detach(still.spawn_ray(dr.detach(d)).o), d)
 
     bits = random_turns(sampler)
-    lines = Lines(rays, LENGTH, PARTS, bits, depth, meetings=False, outlines=mirrored, start=Point3f(si.p))
+    lines = Lines(
+        rays, LENGTH, PRECISION, PARTS, bits, depth, meetings=meetings, outlines=mirrored, start=Point3f(si.p)
+    )
 
     def scattered(s: Float) -> Color3f:
         """The BSDF in the direction of an edge, by the density of lines."""

@@ -25,7 +25,7 @@ from djpt.rendering.gradients.meetings import meeting_pairs
 from djpt.samplers.base import Sampler
 from djpt.scene.scene import Scene, find_sensor
 from djpt.sensors.base import Sensor
-from djpt.shapes.silhouettes.foreground import toward_viewer
+from djpt.shapes.silhouettes.foreground import foreground, toward_viewer
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 from djpt.textures.patches import Patches, have_patches
 
@@ -260,21 +260,7 @@ class PSIntegrator(RBIntegrator):
                     self.proj_detail.init_indirect_silhouette(all_edges, camera, GUIDING_SEED ^ seed)
                     sampler, count = self.prepare(camera, INDIRECT_SEED ^ seed, indirect, self.aov_names())
                 total += self.render_indirect_silhouette(all_edges, camera, sampler, count)
-            meetings = self._surfaces_meet(scene, camera)
-            moving = moving_shapes(scene, camera)
-            unknown = has_mirrors(scene) or have_patches(moving)
-            if primary and (meetings or unknown):
-                edges = FilmEdges(self, scene, camera, meetings)
-                edges.learn(LINE_SEED ^ seed)
-                sampler, _ = self.prepare(camera, CUT_SEED ^ seed, primary, self.aov_names())
-                value, place, found = edges.estimate(sampler)
-                total += self._splatted(camera, sampler, place, value, found)
-            # By paths of two edges, other surfaces see the patches of lamps alone.
-            by_others = self.max_depth > 2 or have_patches([shape for shape in moving if shape.emitter() is not None])
-            if indirect and unknown and by_others and not self.direct_light_only:
-                sampler, _ = self.prepare(camera, PATH_SEED ^ seed, indirect, self.aov_names())
-                value, place, found = path_edges(self, scene, camera, sampler)
-                total += self._splatted(camera, sampler, place, value, found)
+            total += self._unknown_edges(scene, camera, seed, primary, indirect)
         if primary and camera.has_image_circle and camera.lens_moves():
             sampler, _ = self.prepare(camera, CIRCLE_SEED ^ seed, primary, self.aov_names())
             value, place, found = edge_of_circle(self, scene, camera, sampler)
@@ -319,9 +305,26 @@ class PSIntegrator(RBIntegrator):
             total += self._splatted(sensor, sampler, place, value, Bool(True))
         return total
 
-    def _surfaces_meet(self, scene: Scene, sensor: Sensor) -> bool:
-        """Whether the sensor may see curves in which surfaces meet, and which move."""
-        return recording() or next(meeting_pairs(scene.shapes(), moving_shapes(scene, sensor)), None) is not None
+    def _unknown_edges(self, scene: Scene, camera: Sensor, seed: Any, primary: int, indirect: int) -> TensorXf:
+        """The image of the edges that random lines find, since no shape knows of them."""
+        total = dr.zeros(TensorXf, self._shape(camera))
+        mirrors, moving = has_mirrors(scene), moving_shapes(scene, camera)
+        meetings = shapes_meet(scene, moving)
+        if primary and (mirrors or meetings or have_patches(moving)):
+            edges = FilmEdges(self, scene, camera, meetings)
+            edges.learn(LINE_SEED ^ seed)
+            sampler, _ = self.prepare(camera, CUT_SEED ^ seed, primary, self.aov_names())
+            value, place, found = edges.estimate(sampler)
+            total += self._splatted(camera, sampler, place, value, found)
+        # By paths of two edges, other surfaces see lamps alone; what stays shows them no edges but in mirrors.
+        seen, several = scene.silhouette_shapes(), self.max_depth > 2
+        seen = seen if several else [shape for shape in seen if shape.emitter() is not None]
+        meetings = shapes_meet(scene, seen)
+        if indirect and not self.direct_light_only and ((mirrors and several) or meetings or have_patches(seen)):
+            sampler, _ = self.prepare(camera, PATH_SEED ^ seed, indirect, self.aov_names())
+            value, place, found = path_edges(self, scene, camera, sampler, meetings)
+            total += self._splatted(camera, sampler, place, value, found)
+        return total
 
     def render_primarily_visible_silhouette(self, scene: Scene, sensor: Sensor, sampler: Sampler, spp: int) -> TensorXf:
         """The image of the silhouettes that the sensor sees, attached to the parameters of shapes.
@@ -395,13 +398,21 @@ class PSIntegrator(RBIntegrator):
         rays, active = self.sample(**options, δL=None, δaovs=None, state_in=None, project=True)[3]
         return rays, active
 
-    def followed_by_lines(self, scene: Scene, ray: Any, si: SurfaceInteraction3f, active: Bool) -> Bool:
-        """Whether a ray along the edge of a triangle meets, behind `si`, another patch of the same shape.
+    def front(self, scene: Scene, ss: SilhouetteSample3f, active: Bool | bool) -> tuple[SurfaceInteraction3f, Bool]:
+        """The surface points at silhouettes as their viewers see them, and where they are known: see `foreground`.
 
-        Random lines find the edges of patches, also where these are edges of triangles.
+        Of textures that jump, they show what is at the inner border of the strip `ss.strip`.
         """
+        si, known = foreground(scene, scene.silhouette_shapes(), ss, active)
         patches = Patches(scene.geometry.contents.shapes)
-        return patches.differ(si, scene.ray_intersect(ray, active=active)) if patches else Bool(False)
+        if not patches:
+            return si, known
+        # Random lines find the edges of patches, also where these are edges of triangles.
+        known &= ~patches.differ(si, scene.ray_intersect(ss.spawn_ray(), active=known))
+        begin = ss.p - ss.sight * ss.d - ss.strip * ss.n
+        inner = scene.ray_intersect(Ray3f(begin, ss.d), active=known & (ss.strip > 0))
+        other = inner.is_valid() & (inner.shape_index == si.shape_index) & (patches.number(inner) != patches.number(si))
+        return si.replaced(uv=dr.select(other, inner.uv, si.uv)), known
 
     def radiance_along(
         self, scene: Scene, ray: Any, si: SurfaceInteraction3f, depth: Any, sampler: Sampler, active: Bool
@@ -418,6 +429,11 @@ class PSIntegrator(RBIntegrator):
         """The radiance along rays, or from surface points."""
         options = {**modes(dr.ADMode.Primal, scene, sampler, ray), "depth": depth, "active": Bool(active)}
         return Color3f(self.sample(**options, δL=None, δaovs=None, state_in=None, si_shade=si)[0])
+
+
+def shapes_meet(scene: Scene, moving: list[Any]) -> bool:
+    """Whether some shapes may cut or touch others."""
+    return bool(moving) and (recording() or next(meeting_pairs(scene.shapes(), moving), None) is not None)
 
 
 def moving_shapes(scene: Scene, sensor: Sensor) -> list[Any]:

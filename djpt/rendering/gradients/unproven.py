@@ -171,20 +171,19 @@ def nested_bsdfs(bsdf: Any) -> Iterator[Any]:
 
 
 def jumping_textures(rendering: Rendering) -> Iterator[str]:
-    """Textures that jump, where that is seen not only by the camera; and volumes that do."""
-    paint_is_left_out = not direct_light_only(rendering.integrator)
-    lamps_are_left_out = lit_by_lamps_alone(rendering.integrator)
+    """Textures that jump on lamps and in the light of points, and volumes that do, where that isn't followed."""
     for shape in rendering.passes_by():
-        parts = (("BSDF", shape.bsdf(), paint_is_left_out), ("light", shape.emitter(), lamps_are_left_out))
-        for kind, owner, left_out in parts:
-            for texture in () if owner is None else textures_in(owner):
-                volume = getattr(texture, "volume", None)
-                if getattr(volume, "filter_type", "") == "nearest":
-                    yield f"'{shape.id()}' has the volume {named(volume)}"
-                if left_out and texture.has_patches():
+        lamp = shape.emitter() if lit_by_lamps_alone(rendering.integrator) else None
+        for texture in (t for owner in (shape.bsdf(), shape.emitter()) if owner for t in textures_in(owner)):
+            volume = getattr(texture, "volume", None)
+            if getattr(volume, "filter_type", "") == "nearest":
+                yield f"'{shape.id()}' has the volume {named(volume)}"
+        if lamp is not None:
+            for texture in textures_in(lamp):
+                if texture.has_patches():
                     yield f"'{shape.id()}' has the texture {named(texture)}"
-            if owner is not None and left_out and list(seams(shape, owner)):
-                yield f"'{shape.id()}' has the {kind} {named(owner)}, whose texture doesn't end as it begins"
+            if list(seams(shape, lamp)):
+                yield f"'{shape.id()}' has the light {named(lamp)}, whose texture doesn't end as it begins"
     # What slides through the light of a texture sees its edges.
     for light in rendering.emitters(EmitterFlags.Delta) if rendering.movers() else ():
         for texture in () if light.on_shape else textures_in(light):
@@ -221,10 +220,10 @@ def lit_by_lamps_alone(integrator: Any) -> bool:
 
 
 def intersections(rendering: Rendering) -> Iterator[str]:
-    """Shapes that a moving one cuts or touches, where that is seen not only by the camera."""
-    direct = direct_light_only(rendering.integrator)
-    for shape, other in meeting_pairs(rendering.seen, rendering.passes_by()):
-        if not direct or shape.emitter() is not None or other.emitter() is not None:
+    """Shapes that a moving one cuts or touches, where one of both shines and no path follows the curve between them."""
+    pairs = meeting_pairs(rendering.seen, rendering.passes_by()) if lit_by_lamps_alone(rendering.integrator) else ()
+    for shape, other in pairs:
+        if shape.emitter() is not None or other.emitter() is not None:
             yield f"'{shape.id()}' and '{other.id()}' intersect or touch"
 
 
@@ -347,10 +346,10 @@ CASES: tuple[Case, ...] = (
         bent_normals,
     ),
     Case(
-        "a `checkerboard` or another texture that jumps, if paths have more than two edges; on a lamp, by "
-        "'direct_projective', or on a `projector`; a volume with the filter `nearest` as a texture",
+        "a lamp with a `checkerboard` or another texture that jumps, by 'direct_projective'; a `projector` with one; a "
+        "volume with the filter `nearest` as a texture",
         "the edges between its colours aren't followed",
-        "set 'max_depth' to 2, use the filter 'bilinear' or 'trilinear', or, for lamps, render with 'prb_projective'",
+        "use the filter 'bilinear' or 'trilinear', or, for lamps, render with 'prb_projective'",
         jumping_textures,
     ),
     Case(
@@ -373,9 +372,9 @@ CASES: tuple[Case, ...] = (
         light_paths,
     ),
     Case(
-        "a moving shape that cuts or touches another one, if one of them shines or paths have more than two edges",
+        "a moving shape that cuts or touches another one, if one of them shines, by 'direct_projective'",
         "the light near the curve in which they meet isn't followed",
-        "leave a gap between them, or set 'max_depth' to 2",
+        "leave a gap between them, or render with 'prb_projective'",
         intersections,
         needs_numbers=True,
     ),

@@ -48,6 +48,10 @@ class SilhouetteSample3f(PositionSample3f):
     """The sine between `d` and an edge; the normal curvature along `d` of a smooth surface."""
     offset: Float
     """The offset of rays along `d`, relative to 1 + the largest coordinate, where points aren't exact."""
+    sight: Float
+    """The distance of the viewer; 0 if it isn't asked for."""
+    strip: Float
+    """The width of the strip inside the silhouette in which the patches of textures aren't told apart."""
 
     def __init__(self, other: Any = None, **fields: Any) -> None:
         shape = fields.pop("shape", None)
