@@ -61,8 +61,8 @@ format: $(READY)
 	$(PY) -m ruff check --fix-only --quiet .
 	$(PY) -m ruff format .
 
-check: lint  # one process: some slow tests measure time
-	$(PY) -m pytest -q -m ''
+check: lint
+	$(PY) -m pytest -q $(SIDE_BY_SIDE) -m ''
 
 check-cuda: $(READY)  # without a GPU it says so and is content
 	@if $(PY) -m tests.kit.devices; then DJPT_VARIANT=cuda_ad_rgb $(PY) -m pytest -q -m cuda; fi

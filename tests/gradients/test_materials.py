@@ -221,6 +221,8 @@ class ImageSlopes(Slopes):
         at = {
             key: 0.9 * numbers(params[key]) + 0.03 for key in differentiable(params, "ball.bsdf", JUMPS.get(name, ()))
         }
+        if type(scene.shapes()[0].bsdf()).__name__ == COARSE:
+            self.slack = 0.03
         super().__init__(scene, at, {key: rng.uniform(0.5, 1, value.shape) for key, value in at.items()}, schedule)
 
 

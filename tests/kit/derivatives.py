@@ -128,6 +128,8 @@ class Slopes(Loss):
     step = 0.02
     seeds = (4, 28)
     """The number of images that a parameter is judged by, and the number if these aren't enough."""
+    slack = 0.01
+    """The relative difference up to which both agree."""
 
     def __init__(
         self,
@@ -151,7 +153,7 @@ class Slopes(Loss):
         return {key: float(gradient @ along) for key, along in self.along.items()}
 
     def check(self, key: str, exact: dict[int, dict[str, float]], factor: float = 1.0) -> tuple[bool, str]:
-        """Whether both agree within 1 % or 3 sigma; and a message. `factor` makes the derivative wrong.
+        """Whether both agree within `slack` or 3 sigma; and a message. `factor` makes the derivative wrong.
 
         `exact` keeps the slopes of each seed.
         """
@@ -165,7 +167,7 @@ class Slopes(Loss):
                 errors.append(slopes[-1] - self.value(self.difference(self.along[key], self.step, seed)))
             error, sigma = mean_and_error(errors)
             text = f"{key}: {np.mean(slopes):.6f}, off by {error:.6f} +- {sigma:.6f}"
-            if abs(error) <= max(0.01 * abs(np.mean(slopes)), 3 * sigma):
+            if abs(error) <= max(self.slack * abs(np.mean(slopes)), 3 * sigma):
                 return True, text
         return False, text
 
