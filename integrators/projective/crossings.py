@@ -91,12 +91,13 @@ def edges_on_lines(
         # An edge within a shape sticks to it, like its outline.
         meet &= a.shape_index != b.shape_index
         counts = apart & (chains.surface(a) != chains.surface(b))
-        counts &= (link > 0) | (meet & lines.meetings) | chains.patches.differ(a, b) | lines.outlines
+        within = chains.patches.differ(a, b)
+        counts &= (link > 0) | (meet & lines.meetings) | within | lines.outlines
         counts &= lines.depth + link < dr.opaque(UInt32, integrator.max_depth)
         front_first = a.is_valid() & (~b.is_valid() | (a.t <= b.t))
         front, ray = dr.select(front_first, a, b), dr.select(front_first, ray_a, ray_b)
         hidden = counts & ~meet
-        rim = (link == 0) & chains.patches.differ(a, b) & ~Bool(lines.outlines)
+        rim = (link == 0) & within & ~Bool(lines.outlines)
         across = edge_direction(chains, lines, link, 0.5 * (low + high), a, b, ray, front.t, hidden, rim)
         counts &= meet | (dr.squared_norm(across) > 0)
         depth = lines.depth + link
@@ -244,15 +245,10 @@ def crossing(chains: Chains, lines: Lines, sampler: Any, active: Bool) -> tuple[
             dr.select(third, 2 * times, times),
         )
 
-    steps = dr.opaque(UInt32, bisections(part, lines.apart))
+    steps = dr.opaque(UInt32, max(math.ceil(math.log2(part / lines.apart)), 1))
     start = dr.zeros(UInt32, lanes), low, low + part, first, last, chance, count
     _, low, high, _, _, _, times = dr.while_loop(start, lambda k, *_: apart & (k < steps), halve, label="bisection")
     return low, high, times, apart
-
-
-def bisections(part: float, apart: float) -> int:
-    """How often a part of a line is divided in halves."""
-    return max(math.ceil(math.log2(part / apart)), 1)
 
 
 def edge_direction(
@@ -309,10 +305,9 @@ def edge_direction(
         ahead, _ = side(half, beside, found)
         return k + 1, dr.select(ahead, half, start), dr.select(ahead, end, half)
 
-    steps = dr.opaque(UInt32, DIRECTION_STEPS)
     _, start, end = dr.while_loop(
         (dr.zeros(UInt32, lanes), middle - reach, middle + reach),
-        lambda k, *_: found & (k < steps),
+        lambda k, *_: found & (k < DIRECTION_STEPS),
         halve,
         label="direction of edges",
     )

@@ -2,8 +2,8 @@
 
 A path that begins at a silhouette reaches the rough surface that sees it, and is connected to the camera. What a chain
 of smooth surfaces shows to the rough one, or the rough one to the camera, it doesn't find; nor the edges of patches of
-textures. Here a path begins at the camera, and at one of its rough surfaces a random line on the sphere of directions
-looks for edges.
+textures, and curves in which surfaces meet. Here a path begins at the camera, and at one of its rough surfaces a random
+line on the sphere of directions looks for edges.
 """
 
 from __future__ import annotations
@@ -58,7 +58,10 @@ class Arrival:
 
 
 def path_edges(integrator: Any, scene: Any, sensor: Any, sampler: Any, meetings: bool) -> tuple[Color3f, Point2f, Bool]:
-    """The derivative by random points of such edges, attached, their places on the film, and where there are any."""
+    """The derivative by random points of such edges, attached, their places on the film, and where there are any.
+
+    `meetings`: whether curves count, too, in which surfaces meet.
+    """
     window, sensor = Point2f(sensor.film().crop_size()), seen_through(sensor, sampler)
     with dr.suspend_grad():
         place = sampler.next_2d() * window

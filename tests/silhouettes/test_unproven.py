@@ -555,6 +555,21 @@ def test_cameras_without_derivatives() -> None:
         params["sensor.to_world"] = djpt.Transform4f().translate([theta, 0, 0])
 
 
+def test_curves_in_which_shapes_meet() -> None:
+    """They are followed where the camera sees them, and in deeper paths."""
+    cut = {"floor": {**FLOOR, "to_world": T().translate([0, 0, -0.9]).scale(4)}}
+    for kind, depth in (("direct_projective", 6), ("prb_projective", 2), ("prb_projective", 3)):
+        scene, _ = moved(room(**cut))
+        assert dr.grad_enabled(djpt.render(scene, integrator=integrator(kind, max_depth=depth), spp=1))
+
+
+def test_textures_that_jump() -> None:
+    """They are followed in direct light and in deeper paths."""
+    for depth in (2, 3):
+        scene, _ = moved(room(moving=ball({"type": "diffuse", "reflectance": {"type": "checkerboard"}})))
+        assert dr.grad_enabled(djpt.render(scene, integrator=integrator("prb_projective", max_depth=depth), spp=1))
+
+
 @pytest.mark.parametrize(("gap", "cut"), [(0.9, True), (2.5, False)])
 @pytest.mark.sparse(2)
 def test_meshes_that_cut_themselves(gap: float, cut: bool) -> None:
