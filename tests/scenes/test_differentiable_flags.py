@@ -29,6 +29,7 @@ NEEDS: dict[str, dict[str, Any]] = {
     "linearcurve": {"filename": "a.txt"},
     "ellipsoids": {"data": CLOUD},
     "ellipsoidsmesh": {"data": CLOUD},
+    "deforming": {"a": {"type": "ply", "filename": "a.ply"}, "b": {"type": "ply", "filename": "a.ply"}},
     "implicit": {"function": lambda p: dr.norm(p) - 0.5},
     "metaballs": {"balls": [[0, 0, 0, 0.5]]},
     "instance": {"group": GROUP},
