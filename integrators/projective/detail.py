@@ -57,7 +57,7 @@ class ProjectiveDetail:
 
     def init_primarily_visible_silhouette(self, scene: Any, sensor: Any) -> None:
         """Find the silhouettes as the sensor sees them, of all shapes that move."""
-        shapes, viewpoint = scene.silhouette_shapes(), viewpoint_of(scene, sensor)
+        shapes, viewpoint = scene.silhouette_shapes(), dr.detach(viewpoint_of(scene, sensor))
         if isinstance(sensor, MappedCamera) and not sensor.is_central:
             sight, radius = detached(sensor).sight, sensor.viewpoint_radius()
             self.outlines = Outlines(shapes, viewpoint, creases=True, sight=sight, within=radius)
@@ -71,13 +71,13 @@ class ProjectiveDetail:
         assert self.outlines is not None
         return self.outlines.sample(sample2, active)
 
-    def speed_on_film(self, sensor: Any, ss: SilhouetteSample3f, active: Bool | bool) -> Float:
+    def speed_on_film(self, scene: Any, sensor: Any, ss: SilhouetteSample3f, active: Bool | bool) -> Float:
         """The area that a unit of length of outlines sweeps on the film, a unit square: 0, attached.
 
         Points stick to their shapes, and the film moves with the sensor: both count.
         """
         assert self.outlines is not None
-        moved = place_on_film(sensor, self.outlines.follow(ss, active))
+        moved = place_on_film(sensor, self.outlines.follow(ss, active, viewpoint_of(scene, sensor)))
         change = moved - dr.detach(moved)
         tangent, outward = self._film_vectors(sensor, ss)
         side = dr.mulsign(Float(1), tangent.x * outward.y - tangent.y * outward.x)
@@ -301,18 +301,20 @@ class ProjectiveDetail:
 def viewpoint_of(scene: Any, sensor: Any) -> Point3f:
     """The point that a sensor sees outlines from, or one close by; of one with parallel rays a point far away.
 
+    It is attached to the sensor.
+
     Raises:
         RenderError: the sensor is no camera with a place, nor one with parallel rays.
     """
     if sensor.is_central or isinstance(sensor, MappedCamera):
-        return Point3f(dr.detach(sensor.origin))
+        return Point3f(sensor.origin)
     if not isinstance(sensor, Orthographic):
         raise RenderError(
             "silhouettes are supported for cameras whose rays meet in one point or are parallel only, found "
             f"'{sensor.id()}' ({name_of(type(sensor))})"
         )
     center, radius = scene.bounding_sphere()
-    return Point3f(*(float(c) for c in center)) - dr.detach(sensor.direction) * (FAR * float(radius))
+    return Point3f(*(float(c) for c in center)) - sensor.direction * (FAR * float(radius))
 
 
 def detached(sensor: Any) -> Any:

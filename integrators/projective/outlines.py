@@ -7,12 +7,13 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.core.records import SurfaceInteraction3f
+from djpt.core.records import DiscontinuityFlags, SurfaceInteraction3f
 from djpt.distributions.distributions_1d import DiscreteDistribution
 from djpt.integrators.projective.guiding import padded
 from djpt.integrators.projective.viewpoints import Sight, sampled_from_many
 from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
+from djpt.shapes.silhouettes.seams import Seams, turns_dark
 
 __all__ = ["Outlines"]
 
@@ -23,7 +24,8 @@ class Outlines:
     Args:
         shapes: the shapes, each of which has silhouettes; `SilhouetteSample3f.scene_index` counts them.
         viewpoint: the point that they are seen from.
-        creases: whether edges between two faces that are both seen belong to them.
+        creases: whether edges between two faces that are both seen belong to them, and seams of smooth meshes, if all
+            is seen from one place.
         sight: the place from which each point is seen, if it depends on the point; close to `viewpoint`.
         within: how far from `viewpoint` the places are, if there are many.
     """
@@ -43,6 +45,15 @@ class Outlines:
             else shape.silhouette().precompute(viewpoint, creases, within)
             for shape in shapes
         ]
+        self._seams: dict[int, tuple[Seams, int]] = {}
+        if creases and sight is None and within == 0:
+            for k, shape in enumerate(shapes):
+                if turns_dark(shape):
+                    edges, angles = parts[k]
+                    seams, first = Seams(shape.silhouette()), 3 * len(shape.indices)
+                    faces, more = seams.precompute(viewpoint)
+                    parts[k] = dr.concat([edges, faces + first]), dr.concat([angles, more])
+                    self._seams[k] = seams, first
         self._parts = [indices for indices, _ in parts]
         self._within = [
             DiscreteDistribution(padded(weights) if dr.width(weights) else Float(0)) for _, weights in parts
@@ -70,7 +81,10 @@ class Outlines:
             place, part_chance = self._within[k].sample_pmf(u, mine)
             part = dr.gather(UInt32, self._parts[k], place, mine)
             valid = mine & (part_chance > 0) & (chance > 0)
-            ss = self._point(shape, part, sample.y, valid, places)
+            if k in self._seams:
+                ss = self._on_mesh(shape, k, part, sample.y, valid)
+            else:
+                ss = self._point(shape, part, sample.y, valid, places)
             ss.pdf, ss.scene_index = ss.pdf * part_chance * chance, UInt32(k)
             result = dr.select(valid, ss, result)
         return result
@@ -91,12 +105,28 @@ class Outlines:
         ss.discontinuity_type = dr.select(seen, ss.discontinuity_type, 0)
         return ss
 
-    def follow(self, ss: SilhouetteSample3f, active: Bool | bool = True) -> Point3f:
-        """The points of samples, attached to the parameters of the shapes, which they stick to."""
+    def _on_mesh(self, shape: Any, number: int, part: UInt32, along: Float, active: Bool) -> SilhouetteSample3f:
+        """A point of an edge or of a seam, each followed by itself: edges are dark where the surface is."""
+        seams, first = self._seams[number]
+        on_seam = part >= first
+        edge: SilhouetteSample3f = shape.sample_precomputed_silhouette(
+            self._viewpoint, dr.select(on_seam, 0, part), along, active & ~on_seam
+        )
+        edge.unbent = Bool(True)
+        return dr.select(on_seam, seams.sample(self._viewpoint, part - first, along, active & on_seam), edge)
+
+    def follow(self, ss: SilhouetteSample3f, active: Bool | bool = True, viewpoint: Point3f | None = None) -> Point3f:
+        """The points of samples, attached to the parameters of the shapes, which they stick to.
+
+        Seams also slide, and as `viewpoint` does, which is attached.
+        """
         si = dr.zeros(SurfaceInteraction3f)
         si.p, si.prim_index, si.uv = dr.detach(ss.p), ss.prim_index, ss.uv
         moved = Point3f(si.p)
         for k, shape in enumerate(self._shapes):
             mine = active & (ss.scene_index == k)
             moved = dr.select(mine, shape.differential_motion(si, mine), moved)
+            if k in self._seams and viewpoint is not None:
+                seam = mine & (ss.discontinuity_type == int(DiscontinuityFlags.InteriorType))
+                moved += self._seams[k][0].slide(ss, viewpoint, seam)
         return moved

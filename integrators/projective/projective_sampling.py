@@ -341,7 +341,7 @@ class PSIntegrator(RBIntegrator):
             weight = dr.select(active, difference * dr.rcp(ss.pdf), 0)
             ds, _ = on_film(sensor, ss)
             keep(ss, active, weight, ds.uv)
-        return self._splatted(sensor, sampler, ds.uv, weight * detail.speed_on_film(sensor, ss, active), active)
+        return self._splatted(sensor, sampler, ds.uv, weight * detail.speed_on_film(scene, sensor, ss, active), active)
 
     def render_indirect_silhouette(self, scene: Scene, sensor: Sensor, sampler: Sampler, spp: int) -> TensorXf:
         """The image of the silhouettes that other surfaces see, attached to the parameters of shapes; guided."""

@@ -99,6 +99,16 @@ def test_neighbours(both: tuple[Any, Any]) -> None:
     assert list(both[0].opposite_dedge(edges)) == list(both[1].opposite_dedge(edges))
 
 
+def test_vertices_that_rounding_parts_are_one() -> None:
+    """Two squares side by side: they share an edge if its ends differ by rounding, but not if there is a gap."""
+    upper = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], np.float32)
+    lower = np.array([[0, -6e-17, 1e-16], [1, -1e-17, 0], [0, -1, 0], [1, -1, 0]], np.float32)
+    faces = np.array([[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5]])
+    for gap, expected in ((0, 11), (1e-5, 0xFFFFFFFF)):
+        mesh = djpt.Mesh("two", np.concatenate([upper, lower - [0, gap, 0]]).astype(np.float32), faces)
+        assert np.array(mesh.joints[0])[0] == expected
+
+
 def test_parameters_are_mitsubas(both: tuple[Any, Any]) -> None:
     mi = pytest.importorskip("mitsuba")
     ours, theirs = djpt.traverse(both[0]), dict(mi.traverse(both[1]))

@@ -7,7 +7,7 @@ from typing import Any
 import djpt
 from djpt.core.transforms import ScalarTransform4f as T
 from djpt.jit.types import Float
-from tests.silhouettes.cases import SIZE, SPOTS, SUN, Case, ball, edit, sensor, shift, turn_head
+from tests.silhouettes.cases import SIZE, SPOTS, SUN, Case, ball, edit, sensor, shift, slide, turn_head
 from tests.silhouettes.test_projective import globe
 
 
@@ -53,6 +53,10 @@ CASES["a camera, orbit: a smooth mesh"] = Case(
     orbit,
     spp=1024,
 )
+CASES["a camera, turn: a coarse smooth mesh"] = Case(
+    lambda: {"globe": globe(6, 12), "light": {"type": "constant"}}, turn_head, spp=1024
+)
+CASES["a coarse smooth mesh"] = Case(lambda: {"moving": globe(6, 12), "light": {"type": "constant"}}, slide, spp=1024)
 CASES["a camera, turn: a torus"] = Case(
     lambda: {"ring": {"type": "torus", "minor": 0.4, "to_world": T().rotate([0.6, 0.8, 0], 40)}, "light": SUN},
     turn_head,
@@ -72,6 +76,9 @@ ORTHOGRAPHIC = {
     "to_world": T().look_at([0, 0, 6], [0, 0, 0], [0, 1, 0]).scale([3, 3, 1]),
 }
 del ORTHOGRAPHIC["fov"]
+CASES["parallel rays: a coarse smooth mesh"] = Case(
+    lambda: {"moving": globe(6, 12), "light": {"type": "constant"}, "sensor": ORTHOGRAPHIC}, slide, spp=1024
+)
 CASES |= {
     f"parallel rays: {name}": Case(
         lambda: {

@@ -13,6 +13,7 @@ from tests.silhouettes.cases import INTERIOR, PRB, Case, plate, sensor, sky, tur
 CASES = cases.CASES | camera_cases.CASES | light_cases.CASES | mirror_cases.CASES
 
 QUICK = {
+    "a coarse smooth mesh": "direct_projective",
     "a camera, turn: a globe": "prb_projective",
     "a ball rises from a floor": "direct_projective",
     "a flat mirror": "prb_projective",

@@ -32,7 +32,7 @@ def octahedron(center: tuple[float, float, float], radius: float, emitter: Any =
 
 
 def globe(rows: int = 16, columns: int = 32) -> Any:
-    """A smooth sphere of triangles: between flat ones that face the camera light jumps, which isn't followed."""
+    """A smooth sphere of triangles, with normals that follow from their corners."""
     theta, phi = np.meshgrid(np.linspace(0, np.pi, rows + 1), np.arange(columns) * 2 * np.pi / columns, indexing="ij")
     points = np.stack([np.sin(theta) * np.cos(phi), np.cos(theta), np.sin(theta) * np.sin(phi)], axis=-1)
     row, column = (x.ravel() for x in np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij"))

@@ -17,6 +17,9 @@ from djpt.jit.types import Bool, Float, Normal3f, Point2f, Point3f, UInt32, Vect
 
 __all__ = ["Measures", "MeshQueries", "is_closed", "is_remote", "opposite_edges"]
 
+SAME_PLACE = 2.0**-23
+"""The distance of coordinates, relative to the largest one, that rounding may leave between equal ones."""
+
 REMOTE = 16
 
 
@@ -90,9 +93,12 @@ def is_closed(positions: NDArray[np.float32], indices: NDArray[np.uint32]) -> bo
 
 
 def vertex_places(positions: NDArray[np.float32]) -> NDArray[np.uint32]:
-    """Numbers of the places of vertices, (V,): equal for vertices at the same place."""
-    # Adding zero turns -0 into 0, so that equal numbers have equal bits.
-    bits = np.ascontiguousarray(positions + np.float32(0)).view(np.dtype((np.void, 12))).ravel()
+    """Numbers of the places of vertices, (V,): equal for vertices at the same place, up to rounding."""
+    # Files have 6e-17 and 0 for the sines of whole turns. Adding zero turns -0 into 0: equal numbers have equal bits.
+    size = np.abs(positions).max(initial=0)
+    step = size * SAME_PLACE if 0 < size < np.inf else 1
+    steps = np.round(positions / np.float32(step)) + np.float32(0)
+    bits = np.ascontiguousarray(steps, np.float32).view(np.dtype((np.void, 12))).ravel()
     return np.unique(bits, return_inverse=True)[1].ravel().astype(np.uint32)
 
 

@@ -23,8 +23,9 @@ def foreground(
     """The surface points at silhouettes, seen along `ss.d`, and whether they were found.
 
     A ray from just above the surface finds the triangle and all that belongs to it. Where the shading normal points
-    away from the viewer, it is bent until it doesn't: rounding decides for analytic shapes, and meshes with smooth
-    normals have a black seam there, whose inner border moves like the silhouette, so that the sum of both jumps counts.
+    away from the viewer, it is bent until it doesn't, unless samples are `unbent`: rounding decides for analytic
+    shapes. Meshes with smooth normals are dark before their outline; if the inner border of this strip isn't sampled
+    by itself (`Seams`), it counts as if it moved with the outline, with the sum of both jumps.
 
     Args:
         scene: the scene.
@@ -47,7 +48,7 @@ def foreground(
         on_shape |= (ss.scene_index == number) & (si.shape == shape)
 
     side = dr.select(dr.dot(si.n, toward) > 0, Float(1), -1)
-    si.sh_frame = bent_frame(si, ss.d, side)
+    si.sh_frame = dr.select(ss.unbent, si.sh_frame, bent_frame(si, ss.d, side))
     si.wi = si.sh_frame.to_local(-ss.d)
     return si, found & on_shape
 

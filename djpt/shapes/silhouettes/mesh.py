@@ -325,7 +325,7 @@ class MeshSilhouette(Silhouette):
         opposite, shared, own, other = self.normals(edge, active)
         beyond = shared & (dr.dot(own, ss.d) > 0) & (dr.dot(other, ss.d) < 0)
         face, n = dr.select(beyond, opposite // 3, ss.prim_index), dr.select(beyond, other, own)
-        a, b, c = self._at(self.place(), face, active)
+        a, b, c = self.at_corners(self.place(), face, active)
         return dr.fma(INSET, (a + b + c) / 3 - ss.p, ss.p), -n if self.shape.flip_normals else n
 
     # ---- motion -------------------------------------------------------------------------------
@@ -344,18 +344,18 @@ class MeshSilhouette(Silhouette):
         positions = self.attached()
         if positions is None:
             return None
-        a, b, c = self._at(positions, prim_index, active)
+        a, b, c = self.at_corners(positions, prim_index, active)
         u, v = dr.detach(uv.x), dr.detach(uv.y)
         return dr.fma(a, 1 - u - v, dr.fma(b, u, c * v))
 
-    def _at(self, positions: Float | Float64, prim_index: UInt32, active: Bool | bool) -> list[Point3f]:
-        """The corners of triangles."""
+    def at_corners(self, values: Float | Float64, prim_index: UInt32, active: Bool | bool) -> list[Point3f]:
+        """The positions or the normals, three numbers for each vertex, at the corners of triangles."""
         corners = self.shape.face_indices(prim_index, active)
-        return [Point3f(vertex(positions, corner, active)) for corner in corners]
+        return [Point3f(vertex(values, corner, active)) for corner in corners]
 
     def surface(self, place: Any, p: Point3f, prim_index: UInt32, active: Bool | bool) -> SurfacePoint:
         mesh = self.shape
-        a, b, c = self._at(place, prim_index, active)
+        a, b, c = self.at_corners(place, prim_index, active)
         plane = Placement(b - a, c - a, Vector3f(0), a)
         n, weights = plane.up(), plane.local(p)
         n = -n if mesh.flip_normals else n
@@ -364,8 +364,8 @@ class MeshSilhouette(Silhouette):
         corners = mesh.face_indices(prim_index, active)
         if mesh.has_vertex_normals():
             normals = attached_normals(mesh) if dr.grad_enabled(place) else mesh.vertex_normals
-            at_corners = [Normal3f(vertex(normals, corner, active)) for corner in corners]
-            shading = dr.normalize(sum((w * m for w, m in zip(shares, at_corners, strict=True)), Normal3f(0)))
+            at_corners = self.at_corners(normals, prim_index, active)
+            shading = dr.normalize(sum((w * Normal3f(m) for w, m in zip(shares, at_corners, strict=True)), Normal3f(0)))
             shading = -shading if mesh.flip_normals else shading
         if mesh.has_vertex_texcoords():
             texcoords = [dr.gather(Point2f, mesh.vertex_texcoords, corner, active) for corner in corners]

@@ -52,6 +52,8 @@ class SilhouetteSample3f(PositionSample3f):
     """The distance of the viewer; 0 if it isn't asked for."""
     strip: Float
     """The width of the strip inside the silhouette in which the patches of textures aren't told apart."""
+    unbent: Bool
+    """Whether the surface is dark where its normal points away from the viewer; else the normal is bent."""
 
     def __init__(self, other: Any = None, **fields: Any) -> None:
         shape = fields.pop("shape", None)
