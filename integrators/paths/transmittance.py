@@ -249,7 +249,7 @@ def reattached(scene: Scene, sampler: SampleStream, ray: Ray3f, left: Color3f, p
             continue
         segment = aimed(ray, ray.o, UInt32(number))
         segment.maxt = length
-        of_medium = left_over(scene, sampler, segment, Bool(False))
+        of_medium = left_over(scene, sampler, segment, length > 0)  # a closed form, which draws no numbers
         fixed = dr.detach(of_medium)
         attached = attached * dr.select(fixed > 0, of_medium * dr.rcp(fixed), 1)
     return dr.replace_grad(left, attached)  # type: ignore[func-returns-value, return-value]
