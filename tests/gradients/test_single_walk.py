@@ -15,6 +15,7 @@ T = djpt.ScalarTransform4f
 TEXELS = np.random.default_rng(1).uniform(0.2, 0.8, (3, 4, 3)).astype(np.float32)
 METAL = {"type": "principled", "metallic": 0.7, "base_color": {"type": "rgb", "value": [0.8, 0.5, 0.3]}}
 FLOOR = {"type": "rectangle", "to_world": T().translate([0, 0, -1]).scale(3)}
+FLAKES = {"type": "sggx", "S": {"type": "gridvolume", "data": np.float32([1, 0.2, 0.4, 0.1, 0, 0]).reshape(1, 1, 1, 6)}}
 MEDIUM = {"type": "homogeneous", "sigma_t": 0.3, "albedo": 0.6}
 
 
@@ -50,6 +51,10 @@ CASES: dict[str, tuple[dict[str, Any], list[str]]] = {
     "clear fog": (
         body(METAL, air=FOG, integrator={"type": "volpath", "max_depth": 5}),
         ["air.interior_medium.albedo.value.value", "body.bsdf.base_color.value"],
+    ),
+    "flakes": (
+        body(METAL, air=FOG | {"interior": MEDIUM | {"phase": FLAKES}}, integrator={"type": "volpath", "max_depth": 5}),
+        ["air.interior_medium.scale"],
     ),
     "fog": (body(METAL, air=FOG, integrator={"type": "volpath", "max_depth": 5}), ["body.bsdf.base_color.value"]),
 }

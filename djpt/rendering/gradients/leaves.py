@@ -273,7 +273,7 @@ class Accumulator:
             if self.in_registers:
                 for first, mine in self.places(leaf, slot):
                     for c, component in enumerate(gradient):
-                        sums[first + c] = sums[first + c] + dr.select(mine, component, 0)
+                        sums[first + c] = sums[first + c] + dr.select(mine & active, component, 0)
             else:
                 start = self._start_of[id(leaf)].at(slot)
                 for c, component in enumerate(gradient):

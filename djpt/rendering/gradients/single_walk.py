@@ -126,7 +126,8 @@ def in_reverse(mode: Reverse, lane: Lane, leaves: Leaves, v: Vertex, here: Color
         dr.backward(dr.dot(here, attached), flags=dr.ADFlag.ClearVertices)
     lane.sums, gained = mode.accumulator.add(lane.sums, leaves, runs), dr.detach(here) * adjoint
     for i, factor in enumerate(lane.factors):
-        lane.sums[i // 3] = dr.fma(gained[i % 3], factor, lane.sums[i // 3])
+        # Lanes that have done their samples walk on, and may have factors that are NaN.
+        lane.sums[i // 3] = dr.select(runs, dr.fma(gained[i % 3], factor, lane.sums[i // 3]), lane.sums[i // 3])
     kept, scale = after_weight(lane.path, v)
     factors = [kept[i % 3] * factor for i, factor in enumerate(lane.factors)]
     for channel in range(3):
