@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
+import drjit as dr
+import numpy as np
+
 import djpt
 from djpt.core.transforms import ScalarTransform4f as T
 from djpt.jit.types import Float
 from tests.silhouettes.cases import ASIDE, FLOOR, POINT, PRB, SPOTS, WALL, Case, Move, ball, shift
+from tests.silhouettes.test_projective import octahedron
 
 
 def shine(x: float, y: float, z: float) -> Move:
@@ -87,3 +91,25 @@ CASES |= {
         ("it moves, seen indirectly", swing, 4, {"wall": WALL}),
     )
 }
+
+
+def smooth_octahedron() -> Any:
+    """An octahedron with interpolated normals, which stands askew."""
+    flat = octahedron((0, 0, 0), 1.3)
+    points = np.array(flat.positions).reshape(-1, 3) @ T().rotate([0.28, 0.96, 0], 25).matrix[:3, :3].T
+    found = djpt.Mesh("moving", points.astype(np.float32), np.array(flat.indices))
+    found.recompute_vertex_normals()
+    return found
+
+
+def spin(params: Any, theta: Float) -> None:
+    """Turn the vertices of a mesh about the y axis."""
+    points = dr.unravel(djpt.Point3f, Float(params["moving.vertex_positions"]))
+    params["moving.vertex_positions"] = dr.ravel(djpt.Transform4f().rotate([0, 1, 0], 30 * theta) @ points)
+
+
+LOW = {"type": "sphere", "center": [-5, -0.35, -0.6], "emitter": {"type": "area", "radiance": 60.0}}
+"""A lamp near the horizon of a face that the camera sees."""
+CASES["a smooth octahedron turns before a low lamp"] = Case(
+    lambda: {"moving": smooth_octahedron(), "light": LOW}, spin, step=0.01, spp=1024, spp_difference=65536
+)

@@ -17,6 +17,7 @@ QUICK = {
     "a camera, turn: a globe": "prb_projective",
     "a ball rises from a floor": "direct_projective",
     "a flat mirror": "prb_projective",
+    "a smooth octahedron turns before a low lamp": "prb_projective",
     "the shadow of a ball in the light of a point": "direct_projective",
 }
 """What runs before a commit; all else is slow."""

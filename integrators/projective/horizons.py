@@ -1,0 +1,58 @@
+"""Light at the horizon of triangles, which smooth meshes cut off.
+
+Where normals are interpolated, a surface may face light that its triangle doesn't: the triangle stands in its own way.
+With h the cosine between the light and the normal of the triangle, and A the light for h > 0, A [h > 0] arrives there,
+and as the triangle turns, its derivative has the term A delta(h) dh. It is an integral over the same paths as A itself,
+if a kernel k(h) on the bright side stands for delta: one whose mean is 0, so that the error is of second order in its
+width. Light is therefore multiplied by 1 + k(h) (h - h_0), with h_0 the value of h without gradients.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+
+from djpt.core.lookup import is_one_of
+from djpt.core.records import SHADOW_EPSILON, SurfaceInteraction3f
+from djpt.jit.types import Bool, Float, Vector3f
+from djpt.shapes.silhouettes.seams import turns_dark
+
+__all__ = ["Horizons"]
+
+WINDOW = 0.05
+"""The width of the kernel: the largest cosine at which light counts."""
+
+BELOW = 1e-3
+"""The cosine, below the horizon, of rays that ask whether the triangle stands in the way."""
+
+
+class Horizons:
+    """The horizons of the triangles of a scene's smooth meshes, as far as these move."""
+
+    def __init__(self, scene: Any) -> None:
+        self._scene = scene
+        shapes = scene.geometry.contents.shapes
+        self._members = [k for k, shape in enumerate(shapes) if turns_dark(shape) and shape.parameters_grad_enabled()]
+
+    def weight(self, si: SurfaceInteraction3f, d: Vector3f, distance: Float, active: Bool) -> Float:
+        """1, with the relative derivative of light that arrives along `d` by the horizon of the triangle at `si`.
+
+        Args:
+            si: the surface points, attached.
+            d: the directions to the light, attached.
+            distance: how far away it is, at most infinite.
+            active: the lanes that matter.
+        """
+        if not self._members:
+            return Float(1)
+        still = dr.detach(si)
+        n = dr.mulsign(si.n, still.wi.z)
+        h = dr.dot(n, d)
+        here = dr.detach(h)
+        near = active & is_one_of(still.shape_index, self._members) & (here > 0) & (here < WINDOW)
+        ray = still.spawn_ray(dr.normalize(dr.detach(d - n * (h + BELOW))))
+        ray.maxt = distance * (1 - SHADOW_EPSILON)
+        near &= self._scene.ray_test(ray, near)
+        kernel = dr.fma(here, -6 / WINDOW**2, 4 / WINDOW)
+        return 1 + dr.select(near, kernel * (h - here), 0)
