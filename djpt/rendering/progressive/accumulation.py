@@ -391,8 +391,10 @@ class AdaptiveAccumulation(Accumulation):
     its weight: (3, tiles, height, width)."""
     taken: Counts
     """The number of times that each tile was sampled in each half, (2, tiles)."""
-    last: Floats
-    """The luminance of the last survey of each half, (2, height, width)."""
+    last_even: Floats
+    """The luminance of the last survey in the half of the even rounds, (height, width)."""
+    last_odd: Floats
+    """The same in the other half; left as it is like `odd`."""
     changes: Doubles
     """Halves of the squared changes between the surveys of a half, summed; means over the tiles, (2, tiles)."""
 
@@ -401,7 +403,8 @@ class AdaptiveAccumulation(Accumulation):
         "odd": "<f8",
         "products": "<f8",
         "taken": "<i8",
-        "last": "<f4",
+        "last_even": "<f4",
+        "last_odd": "<f4",
         "changes": "<f8",
         "constant": "<f4",
     }
@@ -430,7 +433,8 @@ class AdaptiveAccumulation(Accumulation):
             odd=np.zeros((len(channels) - constant + 1, tiles.count, *tiles.film)),
             products=np.zeros((3, tiles.count, *tiles.film)),
             taken=np.zeros((2, tiles.count), np.int64),
-            last=np.zeros((2, height, width), np.float32),
+            last_even=np.zeros((height, width), np.float32),
+            last_odd=np.zeros((height, width), np.float32),
             changes=np.zeros((2, tiles.count)),
         )
 
@@ -460,6 +464,10 @@ class AdaptiveAccumulation(Accumulation):
     @property
     def _films(self) -> tuple[Doubles, Doubles]:
         return self.even, self.odd
+
+    @property
+    def _last(self) -> tuple[Floats, Floats]:
+        return self.last_even, self.last_odd
 
     def variance(self) -> Doubles:
         """The variance of a film's luminance between the rounds, divided by their number, added up over the tiles.
@@ -509,7 +517,7 @@ class AdaptiveAccumulation(Accumulation):
     def with_round(self, seed: int, count: int, part: TileSums) -> AdaptiveAccumulation:
         """This accumulation and one more round, of `count` samples per pixel."""
         half, survey = half_of(self.rounds), self._is_survey(self.rounds, count)
-        last, changes = self._surveyed(half, part) if survey else (self.last, self.changes)
+        last, changes = self._surveyed(half, part) if survey else (self._last[half], self.changes)
         films, products, taken = self._films[half].copy(), self.products.copy(), self.taken.copy()
         for places, sums in part.by_tiles():
             bright, weight = luminance(sums[:-1], self.channels).astype(np.float64), sums[-1].astype(np.float64)
@@ -528,18 +536,20 @@ class AdaptiveAccumulation(Accumulation):
             odd=films if half else self.odd,
             products=products,
             taken=taken,
-            last=last,
+            last_even=self.last_even if half else last,
+            last_odd=last if half else self.last_odd,
             changes=changes,
         )
 
     def _surveyed(self, half: int, part: TileSums) -> tuple[Floats, Doubles]:
-        """The luminance and the changes that are known after a survey `part`, which has sampled all tiles."""
+        """The luminance of a survey `part`, which has sampled all tiles, and the changes that are known after it."""
+        last = np.empty_like(self._last[half])  # before arrays that go again: above their memory it would keep it
         image = self.tiles.developed(len(self.even), part.channel)
         now = luminance(image, self.channels)
-        last, changes = self.last.copy(), self.changes.copy()
+        changes = self.changes.copy()
         if surveys(self.rounds + 1, half) > 1:
-            changes[half] += self.tiles.means(np.square(now - last[half]) / 2)
-        last[half] = now
+            changes[half] += self.tiles.means(np.square(now - self._last[half]) / 2)
+        last[:] = now
         return last, changes
 
     # ---- files ----------------------------------------------------------------------------------
@@ -573,7 +583,8 @@ class AdaptiveAccumulation(Accumulation):
             "odd": films,
             "products": (3, tiles.count, *tiles.film),
             "taken": (2, tiles.count),
-            "last": (2, height, width),
+            "last_even": (height, width),
+            "last_odd": (height, width),
             "changes": (2, tiles.count),
             "constant": (height, width, constant),
         }

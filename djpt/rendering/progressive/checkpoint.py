@@ -17,7 +17,6 @@ import math
 import os
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, TypeVar
 
@@ -62,7 +61,8 @@ def fingerprint(scene: Scene, sensor: Sensor, integrator: Integrator) -> dict[st
 
 def versions() -> str:
     """The versions that the bits of a round depend on."""
-    return f"djpt {__version__}, drjit {version('drjit')}"
+    # Not importlib.metadata, which takes two megabytes.
+    return f"djpt {__version__}, drjit {dr.__version__}"  # type: ignore[attr-defined]
 
 
 def difference(a: Fingerprint, b: Fingerprint) -> str:
