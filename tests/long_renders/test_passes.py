@@ -340,18 +340,21 @@ def test_the_error_is_that_of_many_renders(spp: int) -> None:
     "name", ["cornell_box", "cornell_box_boxfilter", "cornell_box_spheres", "shader_ball", "stage"]
 )
 def test_a_target_is_met(name: str, adaptive: bool) -> None:
-    """Renders that stop at an error of 1 % have one of 0.7 % to 1.3 %.
+    """Renders that stop at an error of 1 % have one of 0.8 % to 1.2 %, in the mean of squares over four seeds.
 
-    Without lamps in the picture, at whose edges few pixels would have nearly all of the error.
+    That of a single one varies by 13 % where few paths carry much light. Without lamps in the
+    picture, at whose edges few pixels would have nearly all of the error.
     """
     from djpt.scenes.overrides import described, override
 
     _, description = described(name, {})
     description["integrator"]["hide_emitters"] = True
     scene = djpt.load_dict(override(description, width=24))
-    found = last(scene, target_error=0.01, seed=1, adaptive=adaptive)
-    reference = last(scene, round_spp=2**12, spp=8 * found.spp, seed=2**31)
+    found = [last(scene, target_error=0.01, seed=seed, adaptive=adaptive) for seed in range(1, 5)]
+    reference = last(scene, round_spp=found[0].spp, spp=8 * found[0].spp, seed=2**31)
     weights = np.array([0.212671, 0.715160, 0.072169])
-    image, truth = (one.image().numpy()[..., :3].astype(np.float64) @ weights for one in (found, reference))
-    assert 0.007 < np.sqrt(np.mean((image - truth) ** 2)) / truth.mean() < 0.013
-    assert found.rounds > 4
+    *images, truth = (one.image().numpy()[..., :3].astype(np.float64) @ weights for one in (*found, reference))
+    # The reference has noise of its own, a third of an image's.
+    square = np.mean([(image - truth) ** 2 for image in images]) / truth.mean() ** 2 - reference.error().overall ** 2
+    assert 0.008 < np.sqrt(square) < 0.012
+    assert all(one.rounds > 4 for one in found)
