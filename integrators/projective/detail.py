@@ -28,6 +28,7 @@ from djpt.integrators.projective.outlines import Outlines
 from djpt.integrators.projective.projection import ProjectOperation
 from djpt.integrators.projective.receivers import Receiver, light_of_lamps
 from djpt.integrators.projective.splat import keep
+from djpt.jit.frozen import recording
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f
 from djpt.sensors.mapped import MappedCamera
 from djpt.sensors.orthographic import Orthographic
@@ -38,6 +39,9 @@ __all__ = ["ProjectiveDetail"]
 
 FAR = 1e4
 """The distance from which outlines are seen by parallel rays, in radii of the scene."""
+
+TRIALS, RARE = 1 << 14, 3e-3
+"""The random silhouettes that tell whether a guide pays, and the efficiency of such silhouettes below which it does."""
 
 FEW_SAMPLES = 1 << 20
 """If fewer samples count, the octree is learnt from all of them."""
@@ -147,17 +151,40 @@ class ProjectiveDetail:
         dr.eval(points, active)
         return points, active
 
-    def init_indirect_silhouette(self, scene: Any, sensor: Any, seed: Any) -> None:
-        """Learn where indirect silhouettes matter, by the method that the parent's `guiding` names."""
+    def init_indirect_silhouette(self, scene: Any, sensor: Any, seed: Any, spp: int = 0) -> None:
+        """Learn where indirect silhouettes matter, by the method that the parent's `guiding` names.
+
+        Args:
+            scene: the scene.
+            sensor: the camera.
+            seed: the seed.
+            spp: the samples per pixel that will be guided; 0: many.
+        """
         parent = self.parent
-        if parent.guiding == "none":
+        if parent.guiding == "none" or (parent.guiding == "auto" and not self._pays(scene, sensor, seed, spp)):
             self.guiding_distr = UniformDistr()
-        elif parent.guiding == "octree":
+        elif parent.guiding in ("auto", "octree"):
             self.init_indirect_silhouette_octree(scene, sensor, seed)
         elif parent.guiding_proj:
             self.init_indirect_silhouette_grid_proj(scene, sensor, seed)
         else:
             self.init_indirect_silhouette_grid_unif(scene, sensor, seed)
+
+    def _pays(self, scene: Any, sensor: Any, seed: Any, spp: int) -> bool:
+        """Whether learning an octree pays: always if more is guided than learnt from, else if random points rarely hit.
+
+        With m the mass at random points, E[m]^2 / E[m^2] is the part of their number that is as good as points in
+        proportion to m. Frozen functions can't ask, and learn.
+        """
+        if recording() or not 0 < spp < self.parent.proj_seed_spp * self.parent.guiding_rounds:
+            return True
+        sampler = sensor.sampler().clone()
+        sampler.seed(seed ^ 0x3333CCCC, TRIALS)
+        points = Point3f(sampler.next_1d(), sampler.next_1d(), sampler.next_1d())
+        mass = self._mass(scene, sensor, points, sampler)
+        total, squares = dr.sum(mass), dr.sum(dr.square(mass))
+        dr.eval(total, squares)
+        return float(total[0]) ** 2 <= RARE * TRIALS * float(squares[0])
 
     def init_indirect_silhouette_grid_unif(self, scene: Any, sensor: Any, seed: Any) -> None:
         """Learn a grid from a random point in each cell and round."""

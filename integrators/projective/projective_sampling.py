@@ -49,9 +49,10 @@ class PSIntegrator(RBIntegrator):
     or `sample_radiances`, and `sample_importance`.
 
     Parameters: those of `ADIntegrator`; `sppc`, `sppp`, `sppi`: the samples per pixel of the three estimates, unless
-    the call sets them (default: the sampler's; 0: none, whatever the call sets); `guiding` (`none`, `grid` or `octree`,
-    the default): how samples of the third are guided; `guiding_proj` (default true): whether the guide learns from
-    projected paths or from uniform samples; `guiding_rounds` (default 1).
+    the call sets them (default: the sampler's; 0: none, whatever the call sets); `guiding`: how samples of the third
+    are guided, by an `octree`, a `grid`, not at all (`none`), or by an octree where that pays (`auto`, the default):
+    if samples are many, or 16,384 random silhouettes show that few of them matter; `guiding_proj` (default true):
+    whether the guide learns from projected paths or from uniform samples; `guiding_rounds` (default 1).
 
     More settings are attributes: `proj_seed_spp`, samples per pixel that are projected; `guiding_grid_reso`,
     `octree_max_depth`, `octree_max_leaf_cnt`, `octree_extra_leaf_sample`, `octree_highres_x_slices`,
@@ -70,7 +71,7 @@ class PSIntegrator(RBIntegrator):
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         self.sppc, self.sppp, self.sppi = (optional(props, name) for name in ("sppc", "sppp", "sppi"))
-        self.guiding = props.string("guiding", "octree", choices=("none", "grid", "octree"))
+        self.guiding = props.string("guiding", "auto", choices=("auto", "none", "grid", "octree"))
         self.guiding_proj = props.boolean("guiding_proj", True)
         self.guiding_rounds = props.integer("guiding_rounds", 1, low=1)
         self.guiding_grid_reso = [10000, 100, 100]
@@ -257,7 +258,7 @@ class PSIntegrator(RBIntegrator):
                 total += self._lamp_shadows(all_edges, camera, seed, indirect)
             if indirect and not only_lamps_shine(all_edges, self.max_depth, self.direct_light_only):
                 with dr.suspend_grad():
-                    self.proj_detail.init_indirect_silhouette(all_edges, camera, GUIDING_SEED ^ seed)
+                    self.proj_detail.init_indirect_silhouette(all_edges, camera, GUIDING_SEED ^ seed, indirect)
                     sampler, count = self.prepare(camera, INDIRECT_SEED ^ seed, indirect, self.aov_names())
                 total += self.render_indirect_silhouette(all_edges, camera, sampler, count)
             total += self._unknown_edges(scene, camera, seed, primary, indirect)

@@ -138,3 +138,18 @@ def test_guides_do_not_depend_on_earlier_images(monkeypatch: pytest.MonkeyPatch)
         return derivative
 
     assert under(60, 0.6) == under(0.6) != 0
+
+
+@pytest.mark.parametrize(("fov", "spp", "learns"), [(40, 16, False), (0.5, 16, True), (40, 64, True)])
+def test_a_guide_is_learnt_where_it_pays(fov: float, spp: int, learns: bool) -> None:
+    """A narrow view shows few silhouettes; many samples pay for any guide."""
+    camera = sensor((0, -3, 6), fov)
+    scene = djpt.load_dict({"type": "scene", "ball": ball(radius=0.5), "floor": FLOOR, "lamp": LAMP, "sensor": camera})
+    params = djpt.traverse(scene)
+    theta = Float(0)
+    dr.enable_grad(theta)
+    params["ball.to_world"] = djpt.Transform4f().translate([1.5 + theta, 0, 1])
+    params.update()
+    integrator = djpt.load_dict({"type": "prb_projective", "max_depth": 4})
+    integrator.render_forward(scene, None, spp=spp)
+    assert isinstance(integrator.proj_detail.guiding_distr, djpt.ad.OcSpaceDistr) == learns
