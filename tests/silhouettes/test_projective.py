@@ -129,11 +129,13 @@ def test_derivatives_by_the_place_of_a_shape(name: str, kind: str) -> None:
     Reverse mode agrees with forward mode.
     """
     indirect = {} if "shadow" in name else {"sppi": 0}
+    # Along both sides of the cylinder points that fixed rays see move fast: few samples make most of the noise.
+    spp = 256 if name == "a lit cylinder" else 64
     found, sizes = [], []
     for seed in (1, 2, 3, 4):
         theta, room = attached(name)
         dr.forward(theta, dr.ADFlag.ClearEdges)
-        change = np.array(integrator(kind, **indirect).render_forward(room, None, spp=64, seed=seed))
+        change = np.array(integrator(kind, **indirect).render_forward(room, None, spp=spp, seed=seed))
         found.append(float((WEIGHTS * change).sum()))
         sizes.append(float(np.abs(WEIGHTS * change).sum()))
     error, scale = np.std(found, ddof=1) / 2, np.mean(sizes)
@@ -141,7 +143,7 @@ def test_derivatives_by_the_place_of_a_shape(name: str, kind: str) -> None:
     assert abs(np.mean(found) - difference(name)) < 4 * error + 0.03 * scale, (found, difference(name), scale)
 
     theta, room = attached(name)
-    integrator(kind, **indirect).render_backward(room, None, TensorXf(WEIGHTS), spp=64, seed=4)
+    integrator(kind, **indirect).render_backward(room, None, TensorXf(WEIGHTS), spp=spp, seed=4)
     assert dr.grad(theta)[0] == pytest.approx(found[3], rel=2e-3, abs=1e-3 * scale)
 
 
