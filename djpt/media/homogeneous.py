@@ -78,7 +78,10 @@ class Homogeneous(MeasuredMedium):
 
     def extinction(self, mi: MediumInteraction3f, active: Bool | bool = True) -> Color3f:
         """sigma_t, for light that comes from `mi.wi`."""
-        return dr.minimum(self.effective(self.sigma_t.eval(mi, active), mi, active), DENSEST)
+        sigma_t = self.sigma_t.eval(mi, active)
+        if not self.m_has_spectral_extinction:
+            sigma_t = Color3f(sigma_t.x)
+        return dr.minimum(self.effective(sigma_t, mi, active), DENSEST)
 
     def get_majorant(self, mi: MediumInteraction3f, active: Bool | bool = True) -> Color3f:
         return dr.select(active, self.extinction(mi, active), 0)

@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 import djpt
-from tests.kit.media_scenes import colour, fog
+from tests.kit.media_scenes import colour, fog, lit_ball
 
 COUNT = 200_000
 LENGTH = 0.7
@@ -65,3 +65,21 @@ def test_values_are_finite(sigma_t: tuple[float, ...], throughput: tuple[float, 
     if not any(sigma_t):
         np.testing.assert_array_equal(values, 1)
         assert not scattered.any()
+
+
+def test_the_first_channel_counts_where_extinction_is_said_to_be_grey() -> None:
+    """In flights, in shadows and in derivatives."""
+    found = []
+    for sigma_t, spectral in ((colour(0.5, 1, 2), False), (0.5, True)):
+        medium = fog(sigma_t, 0.8, has_spectral_extinction=spectral)
+        lamp = {"type": "point", "position": [2, 2, 2], "intensity": 20.0}
+        scene = djpt.load_dict(lit_ball(medium, max_depth=4, size=8, lamp=lamp))
+        params = djpt.traverse(scene)
+        dr.enable_grad(params["ball.interior_medium.scale"])
+        params.update()
+        image = djpt.render(scene, params, spp=16)
+        dr.set_grad(params["ball.interior_medium.scale"], 1.0)
+        found.append((np.array(dr.forward_to(image)), np.array(image)))
+    for one, other in zip(*found, strict=True):
+        assert np.ptp(other) > 0.01
+        np.testing.assert_allclose(one, other, rtol=1e-5, atol=1e-6)
