@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.core.files import read_bytes
-from djpt.core.records import PositionSample3f
+from djpt.core.records import RAY_EPSILON, PositionSample3f, Ray3f, RayFlags, SurfaceInteraction3f
 from djpt.core.warp import square_to_uniform_triangle
 from djpt.description.files import read_once, resolve
 from djpt.description.parameters import NEWER_NAMES
@@ -21,7 +21,7 @@ from djpt.description.plugin import HIDDEN, ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.errors import FileError, ParameterError, SceneError
 from djpt.jit.kernels import as_float, own_copy, own_floats
-from djpt.jit.types import Float, Point2f, Point3f, UInt32
+from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32
 from djpt.shapes.base import Shape
 from djpt.shapes.meshes.data import MeshData, clean, unit
 from djpt.shapes.meshes.making import Edits, check_prefix, of_arrays, of_zeros, rows
@@ -389,6 +389,42 @@ class Mesh(MeshQueries, Shape):
         return self._measures.interval(direction)
 
     # ---- in kernels --------------------------------------------------------------------
+
+    def eval_parameterization(
+        self, uv: Any, ray_flags: int = RayFlags.All, active: Bool | bool = True
+    ) -> SurfaceInteraction3f:
+        """The surface points with the texture coordinates (u, v), of several any one; `t` is 0, and infinite without.
+
+        Raises:
+            SceneError: The mesh has no texture coordinates.
+        """
+        if not self.has_vertex_texcoords():
+            raise SceneError(f"{self.id()}: the mesh has no texture coordinates, so that they determine no point of it")
+        uv = Point2f(uv)
+        hit = self._unfolded().ray_intersect_preliminary(Ray3f(Point3f(uv.x, uv.y, -1), [0, 0, 1]), active=active)
+        face, found = hit.prim_index, hit.is_valid()
+        a, b, c = (self.vertex_position(corner, found) for corner in self.face_indices(face, found))
+        u, v = hit.prim_uv
+        p, n = dr.fma(a, 1 - u - v, dr.fma(b, u, c * v)), self.face_normal(face, found)
+        # A ray from just above finds the triangle, and all that belongs to it.
+        height = RAY_EPSILON * (1 + dr.max(dr.abs(p)))
+        si: SurfaceInteraction3f = self.alone().ray_intersect(
+            Ray3f(dr.fma(n, height, p), -n, maxt=2 * height), ray_flags, False, active=found
+        )
+        si.t = dr.select(si.is_valid(), Float(0), dr.inf)
+        return si
+
+    def _unfolded(self) -> Mesh:
+        """The mesh in the plane of its texture coordinates."""
+        key = self.vertex_texcoords, self.faces_parameter
+        known = self.__dict__.get("_unfolded_mesh")
+        if known is None or any(a is not b for a, b in zip(known[0], key, strict=True)):
+            uv = np.array(dr.detach(self.vertex_texcoords), np.float32).reshape(-1, 2)
+            flat = np.concatenate([uv, np.zeros((len(uv), 1), np.float32)], axis=1)
+            known = key, Mesh(self.id(), flat, np.array(self.faces_parameter).reshape(-1, 3))
+            self._unfolded_mesh = known
+        mesh: Mesh = known[1]
+        return mesh
 
     def draw_point(self, sample: Point2f) -> PositionSample3f:
         # As in Mitsuba, y chooses the triangle by area and is stretched for use within the triangle.

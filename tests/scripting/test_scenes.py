@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from pathlib import Path
 from typing import Any
 
 import drjit as dr
@@ -219,6 +220,28 @@ def test_points_by_texture_coordinates(name: str, mi: Any) -> None:
     mine, other = (load(m, SHAPES[name]).eval_parameterization([0.3, 0.6]) for m in (djpt, mi))
     for field in ("p", "uv", "n"):
         same(getattr(mine, field), getattr(other, field), 1e-4)
+
+
+def test_points_of_meshes_by_texture_coordinates(mi: Any, tmp_path: Path) -> None:
+    """A sheet of four vertices, bent, with a texture that covers a part of the unit square; elsewhere there is none."""
+    points = np.array([[0, 0, 0], [2, 0, 1], [0, 3, 1], [2, 3, 0]], np.float32)
+    uv = np.array([[0, 0], [1, 0], [0, 0.5], [1, 0.5]], np.float32)
+    mesh = djpt.Mesh("sheet", points, np.array([[0, 1, 2], [1, 3, 2]]), texcoords=uv)
+    mesh.write_ply(tmp_path / "sheet.ply")
+    other = mi.load_dict({"type": "ply", "filename": str(tmp_path / "sheet.ply")})
+    wanted = [[0.1, 0.8, 0.5, 0.5], [0.1, 0.4, 0.3, 0.6]]
+    mine, theirs = (m.eval_parameterization(k.Point2f(wanted)) for m, k in ((mesh, djpt), (other, mi)))
+    assert numbers(mine.is_valid()) == [1, 1, 1, 0] == numbers(theirs.is_valid())
+    for field in ("p", "uv", "n"):
+        found, expected = (np.array(getattr(si, field))[:, :3] for si in (mine, theirs))
+        np.testing.assert_allclose(found, expected, atol=1e-6)
+    # The parameterisation follows edits.
+    params = djpt.traverse(mesh)
+    params["vertex_texcoords"] = djpt.Float(2 * uv.ravel())
+    params.update()
+    assert numbers(mesh.eval_parameterization(djpt.Point2f(0.5, 0.6)).is_valid()) == [1]
+    with pytest.raises(SceneError, match="sheet: the mesh has no texture coordinates"):
+        djpt.Mesh("sheet", points, np.array([[0, 1, 2], [1, 3, 2]])).eval_parameterization([0.1, 0.2])
 
 
 def test_a_cube_has_no_parameterisation() -> None:
