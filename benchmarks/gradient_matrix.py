@@ -13,7 +13,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
-from tests.gradients.matrix import CELLS, Cell, Outcome  # noqa: E402
+from tests.gradients.cells import Cell, Outcome  # noqa: E402
+from tests.gradients.matrix import CELLS  # noqa: E402
 
 HEAD = """# The gradient matrix
 

@@ -1,9 +1,4 @@
-"""The gradient matrix: derivatives of small images by each kind of parameter, each compared with central differences.
-
-A cell is a scene and a number theta that some of its parameters depend on. Its derivative is that of a weighted sum of
-pixels. It is right if it is that of central differences at the same seeds, within 3 per cent or 4 standard errors, or
-refused with a reason; anything else is wrong.
-"""
+"""The gradient matrix: derivatives of small images by each kind of parameter, compared with central differences."""
 
 from __future__ import annotations
 
@@ -11,8 +6,7 @@ import atexit
 import functools
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,163 +15,13 @@ import numpy as np
 
 import djpt
 from djpt.core.transforms import ScalarTransform4f as T
-from djpt.errors import ParameterError, RenderError
+from djpt.errors import RenderError
 from djpt.jit.types import Float, TensorXf
-from djpt.validation.gradcheck.check import judged, standard_error
+from tests.gradients.cells import Cell, Edit, Node, camera_above
 from tests.kit import emitters, materials
 from tests.silhouettes.test_projective import globe
 
-__all__ = ["CELLS", "Cell", "Outcome"]
-
-SIZE = 12
-COLUMN = np.linspace(-1, 1, SIZE)
-WEIGHTS = np.broadcast_to(1 + 1.2 * COLUMN[None, :, None] - 0.6 * COLUMN[:, None, None], (SIZE, SIZE, 3))
-"""The weights of pixels, with one slope all over: the derivative of what moves from pixel to pixel doesn't cancel."""
-
-Node = dict[str, Any]
-Edit = Callable[[Any, Float], None]
-"""Makes parameters depend on theta."""
-
-SEEDS, MOST_SEEDS, MOST_DIFFERENCES = 4, 64, 512
-"""The number of seeds to start with, and the largest ones of derivatives and of differences, which cost less."""
-
-PRECISE, NOTHING = 0.03, 1e-3
-"""The standard error at which no more seeds are needed, relative to the derivative, or to the sum of pixels."""
-
-
-GUIDE = {"proj_seed_spp": 512, "octree_max_depth": 7}
-"""The settings of guides for so few pixels: derivatives are right with any."""
-
-CRITICAL, SLACK = 4.0, 0.03
-"""The deviate, and the relative difference, up to which a derivative is right."""
-
-SUSPECT = 2.0
-"""The deviate above which more seeds are needed, as few of them can't tell."""
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What was found of a cell."""
-
-    verdict: str
-    """``right``, ``refused``, ``noisy`` (it may be right, but the error is too large to tell) or ``wrong``."""
-    found: float = np.nan
-    expected: float = np.nan
-    error: float = np.nan
-    """The standard error of the difference of the two."""
-    z: float = np.nan
-    """The difference as a normal deviate, by Welch's test: a few seeds tell of their own error only roughly."""
-    reason: str = ""
-    """Why it is refused."""
-
-
-@dataclass(frozen=True)
-class Cell:
-    """A derivative."""
-
-    group: str
-    name: str
-    nodes: Callable[[], Node]
-    """The scene's entries, but for the camera."""
-    edit: Edit
-    integrator: Node
-    step: float = 0.08
-    spp: int = 2048
-    camera: Callable[[], Node] = field(default=lambda: camera())
-
-    @property
-    def label(self) -> str:
-        """A name among all cells."""
-        return f"{self.group}: {self.name}, {self.integrator['type']}"
-
-    def measured(self) -> Outcome:
-        """The comparison of the derivative with differences."""
-        try:
-            scene = Scene(self)
-            found = [scene.forward(2 * seed + 101) for seed in range(SEEDS)]
-            expected = [scene.difference(seed) for seed in range(SEEDS)]
-            brightness = scene.brightness()
-            while True:
-                pair = np.array(found), np.array(expected)
-                errors = [standard_error(values) for values in pair]
-                error = float(np.hypot(*errors))
-                wanted = float(np.mean(expected))
-                precise = error <= max(PRECISE * abs(wanted), NOTHING * brightness)
-                difference = abs(float(np.mean(found)) - wanted)
-                z = judged(self.label, *pair, CRITICAL, paired=False).z
-                close = difference <= SLACK * abs(wanted)
-                more = len(found) < MOST_SEEDS, len(expected) < MOST_DIFFERENCES
-                if (precise and (close or abs(z) <= SUSPECT)) or not any(more):
-                    break
-                # The side with the larger error first.
-                if more[0] and (errors[0] >= errors[1] or not more[1]):
-                    found += [scene.forward(2 * seed + 101) for seed in range(len(found), 2 * len(found))]
-                else:
-                    expected += [scene.difference(seed) for seed in range(len(expected), 2 * len(expected))]
-        except (ParameterError, RenderError) as refusal:
-            return Outcome("refused", reason=str(refusal))
-        right = close or abs(z) <= CRITICAL
-        return Outcome(("right" if precise else "noisy") if right else "wrong", float(np.mean(found)), wanted, error, z)
-
-
-class Scene:
-    """The scene of a cell, whose parameters are functions of theta."""
-
-    def __init__(self, cell: Cell) -> None:
-        nodes = {"type": "scene", "integrator": cell.integrator, "sensor": cell.camera(), **cell.nodes()}
-        self.cell, self.scene = cell, djpt.load_dict(nodes, optimize=False)
-        for name, value in GUIDE.items():
-            if cell.integrator["type"].endswith("projective"):
-                setattr(self.scene.integrator(), name, value)
-        self.params = djpt.traverse(self.scene)
-        self.start = Start(self.params)
-        # The same light, by kernels that compile faster.
-        plain = {"type": "volpath" if "vol" in cell.integrator["type"] else "path"}
-        self.plain = djpt.load_dict({**plain, "max_depth": cell.integrator.get("max_depth", 2)})
-
-    def loss(self, theta: Float, seed: int, integrator: Any = None) -> Any:
-        """The weighted sum of pixels."""
-        self.cell.edit(self.start, theta)
-        self.params.update()
-        image = djpt.render(self.scene, self.params, integrator=integrator, spp=self.cell.spp, seed=seed)
-        return dr.sum(image * TensorXf(WEIGHTS.astype(np.float32)), axis=None)
-
-    def forward(self, seed: int) -> float:
-        """The derivative by forward mode."""
-        theta = Float(0)
-        dr.enable_grad(theta)
-        dr.set_grad(theta, 1.0)
-        return float(np.array(dr.forward_to(self.loss(theta, seed))).ravel()[0])
-
-    def difference(self, seed: int) -> float:
-        """The derivative by central differences with two steps, and Richardson's extrapolation."""
-        h = self.cell.step
-        at = {x: float(np.array(self.loss(Float(x), seed, self.plain)).ravel()[0]) for x in (-h, -h / 2, h / 2, h)}
-        return (8 * (at[h / 2] - at[-h / 2]) - (at[h] - at[-h])) / (6 * h)
-
-    def brightness(self) -> float:
-        """The loss itself."""
-        return float(np.array(self.loss(Float(0), 1, self.plain)).ravel()[0])
-
-
-class Start(Mapping[str, Any]):
-    """The parameters as they were at first, for reading; those of the scene, for writing."""
-
-    def __init__(self, params: Any) -> None:
-        self._params, self._first = params, {key: params[key] for key in params}
-
-    def __getitem__(self, key: str) -> Any:
-        return self._first[key]
-
-    def __setitem__(self, key: str, value: Any) -> None:
-        self._params[key] = value
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._first)
-
-    def __len__(self) -> int:
-        return len(self._first)
-
+__all__ = ["CELLS"]
 
 # ---------------------------------------------------------------- what depends on theta
 
@@ -229,13 +73,6 @@ def changed(key: str) -> Edit:
 
 
 # ---------------------------------------------------------------- scenes
-
-
-def camera(**more: Any) -> Node:
-    """A camera that looks down at an angle."""
-    film = {"type": "hdrfilm", "width": SIZE, "height": SIZE, "rfilter": {"type": "box"}, "pixel_format": "rgb"}
-    place = T().look_at([1.5, -2.5, 6], [0, 0, 0.3], [0, 1, 0])
-    return {"type": "perspective", "fov": 38, "to_world": place, "film": film, **more}
 
 
 def spots(seed: int = 0) -> Node:
@@ -486,9 +323,9 @@ def at_point(params: Any, theta: Float) -> None:
 def cameras() -> Iterator[Cell]:
     """Cameras that move or zoom."""
     kinds: dict[str, tuple[Callable[[], Node], tuple[str, ...]]] = {
-        "perspective": (camera, ("x_fov", "principal_point_offset_x")),
+        "perspective": (camera_above, ("x_fov", "principal_point_offset_x")),
         "thinlens": (
-            lambda: {**camera(), "type": "thinlens", "aperture_radius": 0.3, "focus_distance": 5.0},
+            lambda: {**camera_above(), "type": "thinlens", "aperture_radius": 0.3, "focus_distance": 5.0},
             ("x_fov", "aperture_radius", "focus_distance"),
         ),
         "orthographic": (flat_camera, ()),
@@ -527,7 +364,7 @@ def number_of_camera(key: str) -> Edit:
 
 
 def flat_camera() -> Node:
-    node = {**camera(), "type": "orthographic"}
+    node = {**camera_above(), "type": "orthographic"}
     node["to_world"] = node["to_world"] @ T().scale([2.5, 2.5, 1])
     del node["fov"]
     return node
@@ -593,7 +430,7 @@ def first_of(kit: Any) -> list[str]:
 
 def differentiable(nodes: Callable[[], Node], start: str) -> list[str]:
     """The keys of a scene's parameters that have derivatives and aren't places."""
-    params = djpt.traverse(djpt.load_dict({"type": "scene", "sensor": camera(), **nodes()}, optimize=False))
+    params = djpt.traverse(djpt.load_dict({"type": "scene", "sensor": camera_above(), **nodes()}, optimize=False))
     keys = (key for key in params if key.startswith(start) and params.flags(key).differentiable)
     return [key for key in keys if not key.endswith(PLACES)]
 
