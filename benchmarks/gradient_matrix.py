@@ -26,7 +26,7 @@ extrapolation, images by `path` or `volpath`, 2048 or 8192 samples per pixel, 4 
 error says what would be wrong and what to do.
 
 `python benchmarks/gradient_matrix.py` made this page with djpt {version}, its cells at different times; `make check`
-measures them again.
+measures them again, with at most 16 seeds.
 
 {count} of {total} cells were measured: {counts}.
 """

@@ -20,7 +20,7 @@ from djpt.errors import ParameterError, RenderError
 from djpt.jit.types import Float, TensorXf
 from djpt.validation.gradcheck.check import judged, standard_error
 
-__all__ = ["SIZE", "Cell", "Edit", "Node", "Outcome", "Scene", "camera_above"]
+__all__ = ["MOST_SEEDS", "Cell", "Edit", "Node", "Outcome", "Scene", "camera_above"]
 
 SIZE = 12
 COLUMN = np.linspace(-1, 1, SIZE)
@@ -90,8 +90,8 @@ class Cell:
         """A name among all cells."""
         return f"{self.group}: {self.name}, {self.integrator['type']}"
 
-    def measured(self) -> Outcome:
-        """The comparison of the derivative with differences."""
+    def measured(self, most: int = MOST_SEEDS) -> Outcome:
+        """The comparison of the derivative, of at most so many seeds, with differences."""
         try:
             scene = Scene(self)
             found = [scene.forward(2 * seed + 101) for seed in range(SEEDS)]
@@ -106,7 +106,7 @@ class Cell:
                 difference = abs(float(np.mean(found)) - wanted)
                 z = judged(self.label, *pair, CRITICAL, paired=False).z
                 close = difference <= SLACK * abs(wanted)
-                more = len(found) < MOST_SEEDS, len(expected) < MOST_DIFFERENCES
+                more = len(found) < most, len(expected) < MOST_DIFFERENCES
                 if (precise and (close or abs(z) <= SUSPECT)) or not any(more):
                     break
                 # The side with the larger error first.

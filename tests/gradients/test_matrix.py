@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from tests.gradients.cells import MOST_SEEDS
 from tests.gradients.matrix import CELLS
 
 QUICK = (
@@ -18,7 +19,8 @@ QUICK = (
 @pytest.mark.slow
 @pytest.mark.parametrize("label", CELLS)
 def test_no_derivative_is_wrong(label: str) -> None:
-    outcome = CELLS[label].measured()
+    """Of a quarter of the seeds that the page is made from."""
+    outcome = CELLS[label].measured(MOST_SEEDS // 4)
     assert outcome.verdict in ("right", "refused", "noisy"), outcome
 
 
