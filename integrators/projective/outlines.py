@@ -49,10 +49,11 @@ class Outlines:
         if creases and sight is None and within == 0:
             for k, shape in enumerate(shapes):
                 if turns_dark(shape):
-                    edges, angles = parts[k]
                     seams, first = Seams(shape.silhouette()), 3 * len(shape.indices)
-                    faces, more = seams.precompute(viewpoint)
-                    parts[k] = dr.concat([edges, faces + first]), dr.concat([angles, more])
+                    faces, angles = seams.precompute(viewpoint)
+                    if dr.width(faces):
+                        edges, lengths = parts[k]
+                        parts[k] = dr.concat([edges, faces + first]), dr.concat([lengths, angles])
                     self._seams[k] = seams, first
         self._parts = [indices for indices, _ in parts]
         self._within = [
