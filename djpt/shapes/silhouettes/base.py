@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -27,6 +27,7 @@ __all__ = [
     "away_from",
     "edge_normal",
     "lets_through",
+    "of_three",
     "with_gradient",
 ]
 
@@ -224,3 +225,8 @@ def edge_normal(d: Vector3f, edge: Vector3f, inward: Vector3f) -> Normal3f:
 def aligned(n: Vector3f, reference: Vector3f) -> Vector3f:
     """The normal on the side of another."""
     return n * dr.mulsign(Float(1), dr.detach(dr.dot(n, reference)))
+
+
+def of_three(number: UInt32, values: Sequence[Any]) -> Any:
+    """The value with a number: of three edges or corners."""
+    return dr.select(number == 0, values[0], dr.select(number == 1, values[1], values[2]))

@@ -32,6 +32,7 @@ from djpt.shapes.silhouettes.base import (
     Silhouette,
     SurfacePoint,
     edge_normal,
+    of_three,
 )
 from djpt.shapes.silhouettes.moving import attached_place
 from djpt.shapes.silhouettes.normals import attached_normals
@@ -255,11 +256,11 @@ class MeshSilhouette(Silhouette):
         second, third = sample >= weights[0], sample >= weights[0] + weights[1]
         edge = dr.select(third, UInt32(2), dr.select(second, UInt32(1), 0))
         before = dr.select(third, weights[0] + weights[1], dr.select(second, weights[0], 0))
-        along = (sample - before) / by_edge(edge, weights)
-        p = by_edge(edge, [dr.lerp(vertices[k], vertices[(k + 1) % 3], along) for k in range(3)])
+        along = (sample - before) / of_three(edge, weights)
+        p = of_three(edge, [dr.lerp(vertices[k], vertices[(k + 1) % 3], along) for k in range(3)])
         if flags & DiscontinuityFlags.HeuristicWalk:
-            failed = (by_edge(edge, cosines) > 0) & ~by_edge(edge, counts)
-            target = by_edge(edge, beyond)
+            failed = (of_three(edge, cosines) > 0) & ~of_three(edge, counts)
+            target = of_three(edge, beyond)
         else:
             failed, target = none, UInt32(prim)
         return self.sample_of(
@@ -386,8 +387,3 @@ def vertex(values: Float | Float64, index: UInt32, active: Bool | bool) -> Any:
     """The three numbers of a vertex."""
     kind = Point3f if isinstance(values, Float) else Array3f64
     return dr.gather(kind, values, index, active, mode=dr.ReduceMode.Local)
-
-
-def by_edge(edge: UInt32, values: list[Any]) -> Any:
-    """The value of one of three edges."""
-    return dr.select(edge == 0, values[0], dr.select(edge == 1, values[1], values[2]))

@@ -12,7 +12,6 @@ a line may meet it twice. As the triangle or the viewer moves, so does F, and a 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +19,7 @@ import drjit as dr
 
 from djpt.core.records import BSDFFlags, DiscontinuityFlags, has_flag
 from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
-from djpt.shapes.silhouettes.base import IN_FRONT, edge_normal
+from djpt.shapes.silhouettes.base import IN_FRONT, edge_normal, of_three
 from djpt.shapes.silhouettes.normals import attached_normals
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
@@ -47,7 +46,7 @@ class Corners:
 
     def rotated(self, first: UInt32) -> Corners:
         """The same, from another corner on."""
-        return Corners(*([pick(first + k, values) for k in range(3)] for values in (self.p, self.n)))
+        return Corners(*([of_three((first + k) % 3, values) for k in range(3)] for values in (self.p, self.n)))
 
     def at(self, weights: tuple[Float, Float, Float]) -> tuple[Point3f, Vector3f]:
         """The point with barycentric weights, and the normal there, not normalized."""
@@ -100,7 +99,7 @@ class Seams:
         d, tangent = dr.normalize(to_p), curve / length
         # Bright is the side on which F has the sign of a face that is seen from there.
         rises = dr.mulsign(Float(1), change_t) * dr.mulsign(Float(1), facing_of(corners, viewpoint))
-        uv = Point2f(*(pick(k - first, weights) for k in (4, 5)))
+        uv = Point2f(*(of_three((k - first) % 3, weights) for k in (4, 5)))
         ss = self._silhouette.sample_of(
             p=p,
             n=edge_normal(d, tangent, by_t * rises),
@@ -204,9 +203,3 @@ def meeting(corners: Corners, viewpoint: Point3f, along: Float, second: Bool) ->
     count = dr.select(square >= 0, dr.select(x > 0, Float(1), 0) + dr.select(y > 0, Float(1), 0), 0)
     t = positive * dr.rcp(1 + positive)
     return Meeting((1 - t, t * (1 - along), t * along), t, count)
-
-
-def pick(number: UInt32, values: Sequence[Any]) -> Any:
-    """One of three values, counted in a circle."""
-    number = number % 3
-    return dr.select(number == 0, values[0], dr.select(number == 1, values[1], values[2]))
