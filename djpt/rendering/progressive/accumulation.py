@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from djpt.core.color import LUMINANCE
+from djpt.core.color import luminance
 from djpt.errors import RenderError
 from djpt.jit.types import TensorXf
 from djpt.rendering.progressive import checkpoint
@@ -22,7 +22,7 @@ from djpt.rendering.progressive.tiles import MOST, Counts, Tiles, TileSums, half
 if TYPE_CHECKING:
     from djpt.rendering.progressive.rounds import RoundSums
 
-__all__ = ["Accumulation", "AdaptiveAccumulation", "Error", "EvenAccumulation", "luminance"]
+__all__ = ["Accumulation", "AdaptiveAccumulation", "Error", "EvenAccumulation"]
 
 Doubles = npt.NDArray[np.float64]
 Floats = npt.NDArray[np.float32]
@@ -593,14 +593,3 @@ class AdaptiveAccumulation(Accumulation):
 def kind_of(header: Mapping[str, Any]) -> type[Accumulation]:
     """The class of the accumulation of a header, by its entries besides the common `header`."""
     return AdaptiveAccumulation if "tiles" in header["sets"][0] else EvenAccumulation
-
-
-def luminance(image: npt.NDArray[np.floating], channels: Sequence[str]) -> npt.NDArray[np.floating]:
-    """The luminance of an image (channels, ..): of R, G, B, or Y; without those the mean of all."""
-    places = {name: i for i, name in reversed(list(enumerate(channels[: len(image)])))}
-    if all(name in places for name in "RGB"):
-        r, g, b = (image[places[name]] * image.dtype.type(s) for name, s in zip("RGB", LUMINANCE, strict=True))
-        return r + g + b
-    if "Y" in places:
-        return image[places["Y"]]
-    return image.mean(0) if len(image) else np.zeros(image.shape[1:], image.dtype)
