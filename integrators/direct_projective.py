@@ -10,14 +10,12 @@ from djpt.core.records import BSDFContext, BSDFFlags, DirectionSample3f, Interac
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
 from djpt.errors import RenderError
-from djpt.integrators.projective.horizons import Horizons
 from djpt.integrators.projective.projective_sampling import PSIntegrator
 from djpt.integrators.projective.reattach import (
     attached_light,
     attached_ray,
     attached_wi,
     bsdf_weight,
-    direction_to,
     has_mirrors,
     mirrored,
     relative,
@@ -68,7 +66,7 @@ class DirectProjectiveIntegrator(PSIntegrator):
         **kwargs: Any,
     ) -> Any:
         attached = mode != dr.ADMode.Primal
-        ray, active, horizons = ray if attached else dr.detach(ray), Bool(active), Horizons(scene)
+        ray, active = ray if attached else dr.detach(ray), Bool(active)
         with dr.resume_grad(when=attached):
             si = self.first_hit(scene, ray, active) if si_shade is None else si_shade
             light = Color3f(0)
@@ -88,7 +86,6 @@ class DirectProjectiveIntegrator(PSIntegrator):
             if attached:
                 keep(ds, weight)
                 d, weight = attached_light(scene, si, ds, weight, lit)
-                weight = weight * horizons.weight(si, d, dr.detach(ds.dist), lit)
             value, pdf = bsdf.eval_pdf(ctx, si, si.to_local(d), lit)
             mis = dr.select(ds.delta, 1, mis_weight(ds.pdf, pdf))
             light = light + dr.select(lit, value * weight * mis, 0)
@@ -108,9 +105,7 @@ class DirectProjectiveIntegrator(PSIntegrator):
             target = scene.ray_intersect(next_ray, active=by_bsdf)
             if attached:
                 keep(next_ray, target.t, target.uv, target.prim_index)
-                smooth = bsdf_weight(bsdf, si, dr.detach(next_ray.d), target, by_bsdf & ~delta)
-                toward = direction_to(si, target, dr.detach(next_ray.d))
-                smooth = smooth * horizons.weight(si, toward, dr.detach(target.t), by_bsdf & ~delta)
+                smooth = bsdf_weight(scene, bsdf, si, dr.detach(next_ray.d), target, by_bsdf & ~delta)
                 _, by_mirror = bsdf.sample(ctx, si, lobe, square, mirror)
                 scattered = scattered * dr.select(mirror, Color3f(relative(by_mirror)), smooth)
                 target.wi = dr.select(mirror, target.wi, attached_wi(target, si.p))

@@ -18,16 +18,8 @@ from djpt.core.records import (
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
 from djpt.integrators.projective.carried_rays import carried_rays, onward_direction
-from djpt.integrators.projective.horizons import Horizons
 from djpt.integrators.projective.projective_sampling import PSIntegrator
-from djpt.integrators.projective.reattach import (
-    attached_light,
-    attached_wi,
-    bsdf_weight,
-    direction_to,
-    has_mirrors,
-    relative,
-)
+from djpt.integrators.projective.reattach import attached_light, attached_wi, bsdf_weight, has_mirrors, relative
 from djpt.integrators.projective.weights import mis_weight
 from djpt.jit.kernels import opaque
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
@@ -72,7 +64,6 @@ class PathProjectiveIntegrator(PSIntegrator):
         # Whether rays are attached, and what is known of their changes or adjoints.
         with dr.resume_grad():
             by_camera = not primal and dr.grad_enabled(ray.o, ray.d)
-        horizons = Horizons(scene)
         carries = not primal and (by_camera or has_mirrors(scene))
         forward, backward = mode == dr.ADMode.Forward, mode == dr.ADMode.Backward
         rays = carried_rays(mode, ray, sampler.wavefront_size())
@@ -126,7 +117,6 @@ class PathProjectiveIntegrator(PSIntegrator):
                 toward = ds.d
                 if dr.hint(not primal, mode="scalar"):
                     toward, weight = attached_light(scene, si, ds, weight, by_light)
-                    weight = weight * horizons.weight(si, toward, ds.dist, by_light)
                 value, pdf = bsdf.eval_pdf(ctx, si, si.to_local(toward), by_light)
                 chance = dr.select(ds.delta, 1, mis_weight(ds.pdf, pdf))
                 Lr = β * dr.select(by_light, value * weight * chance, 0)
@@ -157,9 +147,7 @@ class PathProjectiveIntegrator(PSIntegrator):
             if dr.hint(not primal, mode="scalar"):
                 target = dr.detach(scene.ray_intersect(onward_ray, onward))
                 with dr.resume_grad():
-                    change = bsdf_weight(bsdf, si, onward_ray.d, target, onward & ~smooth)
-                    aim = direction_to(si, target, onward_ray.d)
-                    change = change * horizons.weight(si, aim, target.t, onward & ~smooth)
+                    change = bsdf_weight(scene, bsdf, si, onward_ray.d, target, onward & ~smooth)
                     turned = onward_ray.d
                     if dr.hint(carries, mode="scalar"):
                         _, by_mirror = bsdf.sample(ctx, si, lobe, square, smooth)

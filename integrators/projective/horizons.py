@@ -18,7 +18,7 @@ from djpt.core.records import SHADOW_EPSILON, SurfaceInteraction3f
 from djpt.jit.types import Bool, Float, Vector3f
 from djpt.shapes.silhouettes.seams import turns_dark
 
-__all__ = ["Horizons"]
+__all__ = ["horizon_weight"]
 
 WINDOW = 0.05
 """The width of the kernel: the largest cosine at which light counts."""
@@ -27,32 +27,26 @@ BELOW = 1e-3
 """The cosine, below the horizon, of rays that ask whether the triangle stands in the way."""
 
 
-class Horizons:
-    """The horizons of the triangles of a scene's smooth meshes, as far as these move."""
+def horizon_weight(scene: Any, si: SurfaceInteraction3f, d: Vector3f, distance: Float, active: Bool) -> Float:
+    """1, with the relative derivative of light that arrives along `d` by the horizon of the triangle at `si`.
 
-    def __init__(self, scene: Any) -> None:
-        self._scene = scene
-        shapes = scene.geometry.contents.shapes
-        self._members = [k for k, shape in enumerate(shapes) if turns_dark(shape) and shape.parameters_grad_enabled()]
-
-    def weight(self, si: SurfaceInteraction3f, d: Vector3f, distance: Float, active: Bool) -> Float:
-        """1, with the relative derivative of light that arrives along `d` by the horizon of the triangle at `si`.
-
-        Args:
-            si: the surface points, attached.
-            d: the directions to the light, attached.
-            distance: how far away it is, at most infinite.
-            active: the lanes that matter.
-        """
-        if not self._members:
-            return Float(1)
-        still = dr.detach(si)
-        n = dr.mulsign(si.n, still.wi.z)
-        h = dr.dot(n, d)
-        here = dr.detach(h)
-        near = active & is_one_of(still.shape_index, self._members) & (here > 0) & (here < WINDOW)
-        ray = still.spawn_ray(dr.normalize(dr.detach(d - n * (h + BELOW))))
-        ray.maxt = distance * (1 - SHADOW_EPSILON)
-        near &= self._scene.ray_test(ray, near)
-        kernel = dr.fma(here, -6 / WINDOW**2, 4 / WINDOW)
-        return 1 + dr.select(near, kernel * (h - here), 0)
+    Args:
+        scene: the scene.
+        si: the surface points, attached.
+        d: the directions to the light, attached.
+        distance: how far away it is, at most infinite.
+        active: the lanes that matter.
+    """
+    smooth = [number for number, shape in scene.moving() if turns_dark(shape)]
+    if not smooth:
+        return Float(1)
+    still = dr.detach(si)
+    n = dr.mulsign(si.n, still.wi.z)
+    h = dr.dot(n, d)
+    here = dr.detach(h)
+    near = active & is_one_of(still.shape_index, smooth) & (here > 0) & (here < WINDOW)
+    ray = still.spawn_ray(dr.normalize(dr.detach(d - n * (h + BELOW))))
+    ray.maxt = dr.detach(distance) * (1 - SHADOW_EPSILON)
+    near &= scene.ray_test(ray, near)
+    kernel = dr.fma(here, -6 / WINDOW**2, 4 / WINDOW)
+    return 1 + dr.select(near, kernel * (h - here), 0)

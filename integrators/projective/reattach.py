@@ -21,6 +21,7 @@ from djpt.core.records import (
     SurfaceInteraction3f,
     has_flag,
 )
+from djpt.integrators.projective.horizons import horizon_weight
 from djpt.integrators.projective.weights import solid_angle_to_area_jacobian
 from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, Vector3f
 from djpt.shapes.silhouettes.base import with_gradient
@@ -31,7 +32,6 @@ __all__ = [
     "attached_wi",
     "bsdf_weight",
     "delta_lights",
-    "direction_to",
     "has_mirrors",
     "mirrored",
     "relative",
@@ -114,15 +114,18 @@ def attached_light(
         arriving = dr.select(on_lamp & hit.is_valid(), hit.emitter(scene).eval(hit, on_lamp), arriving)
     inverse = dr.select(ds.pdf != 0, dr.rcp(dr.detach(ds.pdf)), 0)
     plain = dr.select(active & dr.any(weight != 0), arriving * inverse, 0)
-    return d, Color3f(with_gradient(weight, plain)) * relative_solid_angle(si.p, ds.p, ds.n, on_lamp)
+    change = relative_solid_angle(si.p, ds.p, ds.n, on_lamp)
+    return d, Color3f(with_gradient(weight, plain)) * change * horizon_weight(scene, si, d, ds.dist, active)
 
 
 def bsdf_weight(
-    bsdf: Any, si: SurfaceInteraction3f, d: Vector3f, target: SurfaceInteraction3f, active: Bool
+    scene: Any, bsdf: Any, si: SurfaceInteraction3f, d: Vector3f, target: SurfaceInteraction3f, active: Bool
 ) -> Color3f:
-    """1 per channel, with the relative derivative of a BSDF's value along `d`, times that of the solid angle."""
-    value = bsdf.eval(BSDFContext(), si, si.to_local(direction_to(si, target, d)), active)
-    return Color3f(relative(value)) * relative_solid_angle(si.p, target.p, target.n, active & target.is_valid())
+    """1 per channel, with the relative derivatives of a BSDF's value along `d`, of the solid angle, and of horizons."""
+    toward = direction_to(si, target, d)
+    value = bsdf.eval(BSDFContext(), si, si.to_local(toward), active)
+    change = relative_solid_angle(si.p, target.p, target.n, active & target.is_valid())
+    return Color3f(relative(value)) * change * horizon_weight(scene, si, toward, target.t, active)
 
 
 def relative_solid_angle(o: Point3f, p: Point3f, n: Normal3f, active: Bool) -> Float:
