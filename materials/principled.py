@@ -43,6 +43,13 @@ COAT_SHADOWING = 0.25
 """Roughness of the clear coat, as far as its shadowing is concerned."""
 
 
+BELOW = (
+    "isn't a parameter: light that comes out elsewhere needs a medium inside the shape, such as a 'homogeneous' one "
+    "with 'color' and 'radius'; djpt.subsurface(base_color, radius) gives the 'bsdf' and the 'interior'"
+)
+"""What is said about subsurface scattering, which other renderers have in this material."""
+
+
 @dataclass
 class At:
     """The parameters at one surface point, seen from `wi`."""
@@ -126,6 +133,9 @@ class Principled(PrincipledBase):
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
+        for key in props:
+            if key.startswith("subsurface"):
+                raise props.error(key, BELOW)
         self.base_color = props.texture("base_color", 0.5, low=0.0, high=1.0)
         self.roughness = props.texture_1("roughness", 0.5, low=0.0, high=1.0)
         self.clearcoat_gloss = props.texture_1("clearcoat_gloss", 0.0, low=0.0, high=1.0)

@@ -1,9 +1,10 @@
-"""Translucent matter as users name it: measured materials, and the albedo that gives a body a colour.
+"""Translucent matter as users name it: measured materials, wax, and the albedo that gives a body a colour.
 
 Materials are those of H. W. Jensen, S. R. Marschner, M. Levoy and P. Hanrahan, "A Practical Model for Subsurface Light
-Transport", 2001, table 1. They are reduced coefficients: by the theory of similarity, light that is scattered mostly
-forward gets as far as light that is scattered evenly, but (1 - g) times as often, g being the mean cosine of the phase
-function. With the isotropic phase function, the default, a path in milk thus has a tenth of the vertices, or less.
+Transport", 2001, table 1, and `wax`. They are reduced coefficients: by the theory of similarity, light that is
+scattered mostly forward gets as far as light that is scattered evenly, but (1 - g) times as often, g being the mean
+cosine of the phase function. With the isotropic phase function, the default, a path in milk thus has a tenth of the
+vertices, or less.
 """
 
 from __future__ import annotations
@@ -36,9 +37,15 @@ MATERIALS: Mapping[str, tuple[RGB, RGB]] = {
     "skin_1": ((0.74, 0.88, 1.01), (0.032, 0.17, 0.48)),
     "skin_2": ((1.09, 1.59, 1.79), (0.013, 0.070, 0.145)),
     "spectralon": ((11.6, 20.4, 14.9), (0.00, 0.00, 0.00)),
+    "wax": ((2.00, 2.00, 1.98), (0.00087, 0.0032, 0.016)),
     "whole_milk": ((2.55, 3.21, 3.77), (0.0011, 0.0024, 0.014)),
 }
-"""The reduced scattering and the absorption of each material, per mm, in red, green and blue."""
+"""The reduced scattering and the absorption of each material, per mm, in red, green and blue.
+
+All but `wax` are measured. No measurement of wax in three channels is known to us, so it is made up: a pale candle
+whose large bodies have the colour (0.90, 0.82, 0.66) behind a boundary of the index 1.44, that of paraffin, with a free
+path of 0.5 mm, about as in marble. Scattering and absorption follow by `reflectance_behind` and `albedo_of_color`.
+"""
 
 
 def albedo_of_color(color: Any, g: float = 0.0) -> NDArray[np.float64]:
@@ -103,6 +110,7 @@ def subsurface(
     scale: float = 1.0,
     eta: float = 1.4,
     roughness: float = 0.3,
+    anisotropy: float = 0.0,
     **lobes: Any,
 ) -> dict[str, Any]:
     """The `bsdf` and the `interior` of a closed shape that light enters, and leaves after a random walk.
@@ -110,35 +118,86 @@ def subsurface(
     ``{"type": "sphere", **djpt.subsurface([0.8, 0.5, 0.3], [1.0, 0.3, 0.1], scale=0.05)}``: what Blender's principled
     BSDF calls subsurface with the weight 1. No BSDF can do it alone, since light comes out elsewhere; here walks are
     paths through a medium, which integrators of media follow, through thin parts, round holes and with derivatives. The
-    boundary is a `principled` BSDF with `spec_trans` 1 and a white `base_color`, the medium a
-    `homogeneous` one that scatters evenly.
+    boundary is a `principled` BSDF with `spec_trans` 1 and a white `base_color`, the medium a `homogeneous` one.
+
+    With the albedo a and the radius r of a medium that scatters evenly, one whose phase function `hg` has the mean
+    cosine g = `anisotropy` looks the same if
+
+        sigma_t = (1 - g (1 - a)) / ((1 - g) r),    albedo = a / (1 - g (1 - a)).
+
+    M. J.-Y. Chiang, P. Kutz and B. Burley, "Practical and Controllable Subsurface Scattering for Production Path
+    Tracing", 2016, has such walks with another fit of the albedo; D. R. Wyman et al. 1989 for g, see `similar`.
 
     Args:
         base_color: What a large body looks like beside its highlights, a number or three: see `reflectance_behind`.
-        radius: The mean free path, a number or one for each channel, > 0.
+        radius: The mean free path, a number or one for each channel, > 0: the reduced one with an `anisotropy`.
         material: One of `MATERIALS` in place of both.
-        scale: The length that belongs to a radius of 1; for a `material`, the length of a millimetre in the scene.
+        scale: The length that belongs to a radius of 1; for a `material`, the length of a millimetre in the scene. Rays
+            that enter start 0.00009 (1 + c) below the surface, c being the largest coordinate, which should be a
+            fiftieth of the free path at most: else bodies are too dark. Choose millimetres or centimetres as units.
         eta: The index of refraction, at least 1.
         roughness: That of `principled`. Rough boundaries lose light each time that it meets them: a body of the colour
             0.85 has 0.84 at 0.3, and 0.58 at 0.6.
+        anisotropy: The mean cosine of the phase function, in (-1, 1). It changes the first steps below the surface,
+            and walks take 1 / (1 - g) as many.
         lobes: Other parameters of `principled`, such as `sheen` and `clearcoat`.
 
     Raises:
-        SceneError: `lobes` names a parameter that is fixed. Other mistakes are found when the scene is loaded.
+        SceneError: `lobes` names a parameter that is fixed; or with an `anisotropy`, a value is out of range or the
+            material unknown. Other mistakes are found when the scene is loaded.
     """
-    fixed = {"spec_trans": 1.0, "metallic": 0.0, "specular": None, "flatness": 0.0}
+    fixed = ("spec_trans", "metallic", "flatness")
     for name in lobes:
+        if name == "specular":
+            raise SceneError("subsurface: give 'eta' in place of 'specular': 2 / (1 - sqrt(0.08 specular)) - 1")
         if name in fixed:
             raise SceneError(
                 f"subsurface: '{name}' is fixed: all light enters the body; blend BSDFs for other materials"
             )
     bsdf = {"type": "principled", "base_color": 1.0, "spec_trans": 1.0, "eta": eta, "roughness": roughness, **lobes}
     interior: dict[str, Any] = {"type": "homogeneous", "scale": 1 / scale}
-    if material is not None:
+    if anisotropy:
+        require(-1 < anisotropy < 1, "anisotropy", anisotropy, "lie in (-1, 1)")
+        require(np.greater(radius, 0).all(), "radius", radius, "be positive")
+        require(np.equal(base_color, np.clip(base_color, 0, 1)).all(), "base_color", base_color, "lie in [0, 1]")
+        require(material is None or material in MATERIALS, "material", material, f"be one of {', '.join(MATERIALS)}")
+        even = of_color(base_color, radius, eta) if material is None else of_material(material)
+        sigma_t, albedo = forward(*even, anisotropy)
+        interior |= {"sigma_t": number_or_rgb(sigma_t), "albedo": number_or_rgb(albedo)}
+        interior["phase"] = {"type": "hg", "g": anisotropy}
+    elif material is not None:
         interior["material"] = material
     else:
         interior |= {"color": number_or_rgb(base_color), "radius": number_or_rgb(radius), "boundary_eta": eta}
     return {"bsdf": bsdf, "interior": interior}
+
+
+def require(met: Any, name: str, found: Any, condition: str) -> None:
+    """Raise `SceneError` about a parameter of `subsurface` unless a condition is met."""
+    if not met:
+        raise SceneError(f"subsurface: '{name}' must {condition}, found {found}")
+
+
+def of_material(name: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The extinction per mm and the albedo of one of `MATERIALS`."""
+    scattering, absorption = (np.array(rates) for rates in MATERIALS[name])
+    return scattering + absorption, scattering / (scattering + absorption)
+
+
+def of_color(color: Any, radius: Any, eta: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The extinction and the albedo that give a large body a colour behind a boundary of the index `eta`."""
+    return 1 / np.asarray(radius, np.float64), albedo_of_color(reflectance_behind(color, eta))
+
+
+def forward(
+    sigma_t: NDArray[np.float64], albedo: NDArray[np.float64], g: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The `sigma_t` and `albedo` for a phase function of the mean cosine `g` that look like reduced ones.
+
+    The inverse of `similar`.
+    """
+    kept = 1 - g * (1 - albedo)
+    return sigma_t * kept / (1 - g), albedo / kept
 
 
 def number_or_rgb(value: Any) -> Any:
@@ -172,14 +231,15 @@ def translucent(props: Properties) -> tuple[Color3f, Color3f] | None:
         name = props.string("material")
         if name not in MATERIALS:
             raise props.error("material", f"can't be '{name}'{near_miss(name, MATERIALS)}")
-        scattering, absorption = (np.array(rates) for rates in MATERIALS[name])
-        return color3(scattering + absorption), color3(scattering / (scattering + absorption))
+        sigma_t, reduced = of_material(name)
+        return color3(sigma_t), color3(reduced)
     radius = rgb(props, "radius", 1.0)
     if (radius <= 0).any():
         raise props.error("radius", f"must be positive, found {radius.tolist()}")
     color = rgb(props, "color", 0.5, high=1.0)
     eta = props.float("boundary_eta", 1.0, low=1.0, high=4.0)
-    return color3(1 / radius), color3(albedo_of_color(reflectance_behind(color, eta)))
+    sigma_t, reduced = of_color(color, radius, eta)
+    return color3(sigma_t), color3(reduced)
 
 
 def similar(props: Properties) -> tuple[Color3f, Color3f]:

@@ -260,6 +260,8 @@ def test_flags_are_mitsubas(values: dict[str, Any]) -> None:
         ({"metallic": 1.2}, r"'metallic' must lie in \[0, 1\]"),
         ({"clearcoat_sampling_rate": -1.0}, "'clearcoat_sampling_rate' must be at least 0"),
         ({"clearcoat_glass": 0.5}, "'clearcoat_glass'.*clearcoat_gloss"),
+        ({"subsurface": 0.5}, r"'subsurface' isn't a parameter.*medium.*djpt\.subsurface"),
+        ({"subsurface_radius": 0.1}, r"'subsurface_radius' isn't a parameter.*djpt\.subsurface"),
         ({"sheen": "much"}, "'sheen' must be a number or a texture"),
     ],
 )

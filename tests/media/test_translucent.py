@@ -161,8 +161,72 @@ def test_subsurface() -> None:
     skin = djpt.load_dict(djpt.subsurface(material="skin_1", scale=0.1)["interior"])
     np.testing.assert_allclose(np.array(skin.sigma_t.eval(None)).ravel(), [0.772, 1.05, 1.49], rtol=1e-4)
     assert skin.scale[0] == pytest.approx(10)
-    with pytest.raises(SceneError, match="'spec_trans' is fixed"):
-        djpt.subsurface(0.5, spec_trans=0.5)
+
+
+@pytest.mark.parametrize(
+    ("keys", "problem"),
+    [
+        ({"spec_trans": 0.5}, "'spec_trans' is fixed"),
+        ({"specular": 0.5}, "give 'eta' in place of 'specular'"),
+        ({"anisotropy": 1.0}, r"'anisotropy' must lie in \(-1, 1\), found 1.0"),
+        ({"anisotropy": 0.5, "radius": [1.0, 0.0, 1.0]}, "'radius' must be positive"),
+        ({"anisotropy": 0.5, "base_color": 1.5}, r"'base_color' must lie in \[0, 1\], found 1.5"),
+        ({"anisotropy": 0.5, "material": "milk"}, "'material' must be one of .*whole_milk"),
+    ],
+    ids=str,
+)
+def test_what_subsurface_refuses(keys: dict[str, Any], problem: str) -> None:
+    with pytest.raises(SceneError, match=problem):
+        djpt.subsurface(**keys)
+
+
+@pytest.mark.parametrize("g", [0.0, 0.6])
+def test_subsurface_has_its_base_color(g: float) -> None:
+    """The whole light of a large ball under a white sky, at a boundary that reflects next to nothing."""
+    color = [0.8, 0.5, 0.2]
+    scene = {
+        "type": "scene",
+        "integrator": {"type": "volpathmis", "max_depth": 2000, "rr_depth": 2000},
+        "sky": {"type": "constant"},
+        "ball": {"type": "sphere", **djpt.subsurface(color, 0.01, eta=1.0, roughness=0.05, anisotropy=g)},
+        "sensor": {
+            "type": "orthographic",
+            "to_world": djpt.ScalarTransform4f().look_at(origin=[0, 0, 6], target=[0, 0, 0], up=[0, 1, 0]),
+            "film": {"type": "hdrfilm", "width": 16, "height": 16, "rfilter": {"type": "box"}},
+        },
+    }
+    mean = np.array(djpt.render(djpt.load_dict(scene), spp=128)).mean((0, 1))
+    ball = 1 - (1 - mean) / (np.pi / 4)
+    np.testing.assert_allclose(ball, color, atol=0.012)
+
+
+def test_anisotropy_is_the_inverse_of_asymmetry() -> None:
+    """What is reduced again scatters evenly as the material does."""
+    interior = djpt.subsurface(material="wax", anisotropy=0.7)["interior"]
+    assert interior.pop("phase") == {"type": "hg", "g": 0.7}
+    found, expected = (
+        djpt.load_dict({**interior, "asymmetry": 0.7}),
+        djpt.load_dict(djpt.subsurface(material="wax")["interior"]),
+    )
+    for name in ("sigma_t", "albedo"):
+        a, b = (np.array(getattr(medium, name).eval(None)).ravel() for medium in (found, expected))
+        np.testing.assert_allclose(a, b, rtol=1e-5)
+
+
+def test_wax_has_its_color() -> None:
+    """The closed form of a half space, behind a boundary of the index 1.44, and the free path of half a millimetre."""
+    sigma_t, albedo = values(material="wax")
+    np.testing.assert_allclose(sigma_t, 2, rtol=5e-3)
+    body = [reflectance(float(a)) for a in albedo]
+    np.testing.assert_allclose(body, reflectance_behind([0.90, 0.82, 0.66], 1.44), atol=0.01)
+
+
+def test_wax_is_rendered() -> None:
+    """A thick candle of wax is pale yellow."""
+    scene = lit_ball(None, rr_depth=500, max_depth=500)
+    scene["ball"] |= djpt.subsurface(material="wax", scale=0.02, eta=1.44)
+    red, green, blue = np.array(djpt.render(djpt.load_dict(scene), spp=16))[6:10, 6:10].mean((0, 1))
+    assert 1 > red > green > blue > 0.4
 
 
 def test_subsurface_is_white_in_a_furnace() -> None:
