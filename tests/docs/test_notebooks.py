@@ -64,17 +64,11 @@ LIBRARIES = {"against_mitsuba": ("mitsuba",), "pytorch_and_jax": ("torch", "jax"
 """What notebooks need besides djpt: one of these."""
 
 
-LONG = {"room_from_photographs"}
-"""Notebooks that take more than ten seconds; for one more there is a test of its own."""
 SMALL = {"relightable_body": ("SIZE, STEPS = 32, 30", "SIZE, STEPS = 16, 2")}
-"""What is written otherwise where a notebook is to take less time."""
+"""What is written otherwise where a notebook is to take less time; for such a one there is a test of its own."""
 
 
-@pytest.mark.sparse(6)
-@pytest.mark.parametrize(
-    "notebook",
-    [pytest.param(p, marks=[pytest.mark.slow] * (p.stem in LONG), id=p.stem) for p in NOTEBOOKS if p.stem not in SMALL],
-)
+@pytest.mark.parametrize("notebook", [pytest.param(p, id=p.stem) for p in NOTEBOOKS if p.stem not in SMALL])
 def test_a_notebook_runs(notebook: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     libraries = LIBRARIES.get(notebook.stem, ())
     if libraries and not any(map(importlib.util.find_spec, libraries)):

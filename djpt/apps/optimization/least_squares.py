@@ -21,7 +21,8 @@ loss and rises after those that don't, which are taken back (Levenberg 1944, Mar
 Noise: r and J come from different samples, so that J^T r has the right mean, and its zero is where the search ends.
 The product of one estimate of J with itself is too large by its variance, which makes steps too short, tenfold where
 silhouettes move. So J^T J is the product of two independent estimates of the columns: that of the step, and that of the
-step before, since J changes little. The first step has one, and is shorter for it.
+step before, since J changes little. The first step has one, and is shorter for it. Where tables of J are averaged over
+the steps, see below, the product of the mean with itself serves: its bias falls with the number of steps.
 Matrix-free it is that of one, so steps are shorter where derivatives are noisy, and their minimum is the same. That is
 of use there: what the noise adds to J^T J keeps combinations in place which pictures hardly show.
 Steps are judged by images with the same random numbers, whose noise mostly cancels: by half of those that are averaged.
@@ -357,16 +358,18 @@ class Problem:
         """The equations of a step from a vector with the residuals `now`, the last ones that were computed."""
         if x.size > DENSE or not self._distances.all():
             self._linearise(x, seed)
-        if x.size > DENSE and not self._distances.any():
+        if not self._distances.any():
             now = self._averaged(x, now)
-            return MatrixFree(self, x, now, seed, damping)
+            if x.size > DENSE:
+                return MatrixFree(self, x, now, seed, damping)
         known = self.differences
         first = self._columns(x, round_seed(seed, 1), range(x.size)) if known is None else known
         self.differences = first if self._distances.all() else None
-        # Differences have little noise: one estimate is enough. Derivatives of the last step are another estimate.
+        # Differences have little noise, and so have means over steps: one estimate is enough. Derivatives of the last
+        # step are another estimate.
         second = first.copy()
         derived = np.flatnonzero(self._distances == 0)
-        if derived.size:
+        if derived.size and self.means_before is None:
             if self.columns is not None:
                 second[:, derived] = self.columns
             self.columns = first[:, derived]
