@@ -68,7 +68,7 @@ SMALL = {"relightable_body": ("SIZE, STEPS = 32, 30", "SIZE, STEPS = 16, 2")}
 """What is written otherwise where a notebook is to take less time; for such a one there is a test of its own."""
 
 
-@pytest.mark.parametrize("notebook", [pytest.param(p, id=p.stem) for p in NOTEBOOKS if p.stem not in SMALL])
+@pytest.mark.parametrize("notebook", [p for p in NOTEBOOKS if p.stem not in SMALL], ids=lambda path: path.stem)
 def test_a_notebook_runs(notebook: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     libraries = LIBRARIES.get(notebook.stem, ())
     if libraries and not any(map(importlib.util.find_spec, libraries)):

@@ -125,6 +125,27 @@ def test_reflectance_behind_a_boundary() -> None:
     assert sum((1 - inside) * r * (inside * r) ** k for k in range(60)) == pytest.approx(0.6, abs=1e-6)
 
 
+def light_of_ball(body: dict[str, Any], size: int) -> np.ndarray:
+    """The fraction of the light of a white sky that the unit ball returns, by channel; by `size` x `size` pixels.
+
+    Parallel rays see it in a square of the side 2.
+    """
+    scene = {
+        "type": "scene",
+        "integrator": {"type": "volpathmis", "max_depth": 2000, "rr_depth": 2000},
+        "sky": {"type": "constant"},
+        "ball": {"type": "sphere", **body},
+        "sensor": {
+            "type": "orthographic",
+            "to_world": djpt.ScalarTransform4f().look_at(origin=[0, 0, 6], target=[0, 0, 0], up=[0, 1, 0]),
+            "film": {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}},
+        },
+    }
+    mean = np.array(djpt.render(djpt.load_dict(scene), spp=128)).mean((0, 1))
+    found: np.ndarray = 1 - (1 - mean) / (np.pi / 4)
+    return found
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("eta", [1.0, 1.4])
 def test_body_has_the_color_behind_a_boundary(eta: float) -> None:
@@ -132,19 +153,7 @@ def test_body_has_the_color_behind_a_boundary(eta: float) -> None:
     color = [0.85, 0.5, 0.2]
     bsdf = {"type": "null"} if eta == 1 else {"type": "dielectric", "int_ior": eta, "ext_ior": 1.0}
     medium = {"type": "homogeneous", "color": colour(*color), "radius": 0.02, "boundary_eta": eta}
-    scene = {
-        "type": "scene",
-        "integrator": {"type": "volpathmis", "max_depth": 2000, "rr_depth": 2000},
-        "sky": {"type": "constant"},
-        "ball": {"type": "sphere", "bsdf": bsdf, "interior": medium},
-        "sensor": {
-            "type": "orthographic",
-            "to_world": djpt.ScalarTransform4f().look_at(origin=[0, 0, 6], target=[0, 0, 0], up=[0, 1, 0]),
-            "film": {"type": "hdrfilm", "width": 32, "height": 32, "rfilter": {"type": "box"}},
-        },
-    }
-    mean = np.array(djpt.render(djpt.load_dict(scene), spp=128)).mean((0, 1))
-    ball = 1 - (1 - mean) / (np.pi / 4)
+    ball = light_of_ball({"bsdf": bsdf, "interior": medium}, 32)
     reflected = boundary_reflectance(eta)
     np.testing.assert_allclose((ball - reflected) / (1 - reflected), color, atol=0.05)
 
@@ -184,19 +193,8 @@ def test_what_subsurface_refuses(keys: dict[str, Any], problem: str) -> None:
 def test_subsurface_has_its_base_color(g: float) -> None:
     """The whole light of a large ball under a white sky, at a boundary that reflects next to nothing."""
     color = [0.8, 0.5, 0.2]
-    scene = {
-        "type": "scene",
-        "integrator": {"type": "volpathmis", "max_depth": 2000, "rr_depth": 2000},
-        "sky": {"type": "constant"},
-        "ball": {"type": "sphere", **djpt.subsurface(color, 0.01, eta=1.0, roughness=0.05, anisotropy=g)},
-        "sensor": {
-            "type": "orthographic",
-            "to_world": djpt.ScalarTransform4f().look_at(origin=[0, 0, 6], target=[0, 0, 0], up=[0, 1, 0]),
-            "film": {"type": "hdrfilm", "width": 16, "height": 16, "rfilter": {"type": "box"}},
-        },
-    }
-    mean = np.array(djpt.render(djpt.load_dict(scene), spp=128)).mean((0, 1))
-    ball = 1 - (1 - mean) / (np.pi / 4)
+    body = djpt.subsurface(color, 0.01, eta=1.0, roughness=0.05, anisotropy=g)
+    ball = light_of_ball(body, 16)
     np.testing.assert_allclose(ball, color, atol=0.012)
 
 
