@@ -20,6 +20,7 @@ from djpt.integrators.projective.reattach import (
     mirrored,
     relative,
 )
+from djpt.integrators.projective.self_views import following, moving_mesh
 from djpt.integrators.projective.splat import keep
 from djpt.integrators.projective.weights import mis_weight
 from djpt.jit.types import Bool, Color3f, Float, Point2f, UInt32
@@ -85,7 +86,7 @@ class DirectProjectiveIntegrator(PSIntegrator):
             d = ds.d
             if attached:
                 keep(ds, weight)
-                d, weight = attached_light(scene, si, ds, weight, lit)
+                d, weight = attached_light(scene, si, ds, weight, True, lit)
             value, pdf = bsdf.eval_pdf(ctx, si, si.to_local(d), lit)
             mis = dr.select(ds.delta, 1, mis_weight(ds.pdf, pdf))
             light = light + dr.select(lit, value * weight * mis, 0)
@@ -102,13 +103,15 @@ class DirectProjectiveIntegrator(PSIntegrator):
                 # What a mirror shows moves with it.
                 turned = bsdf.sh_frame(si, mirror).to_world(mirrored(si.wi, bs.wo, bs.eta))
                 next_ray = attached_ray(next_ray, Ray3f(si.p, turned), mirror)
-            target = scene.ray_intersect(next_ray, active=by_bsdf)
+            found = scene.closest_hit(dr.detach(next_ray), by_bsdf)
+            along = by_bsdf & ~delta & (moving_mesh(scene, si.shape_index, found.is_valid()) == found.shape_index)
+            target = scene.surface_interaction_of(found, following(next_ray, si.p, along))
             if attached:
                 keep(next_ray, target.t, target.uv, target.prim_index)
-                smooth = bsdf_weight(scene, bsdf, si, dr.detach(next_ray.d), target, by_bsdf & ~delta)
+                smooth = bsdf_weight(scene, bsdf, si, dr.detach(next_ray.d), target, along, by_bsdf & ~delta)
                 _, by_mirror = bsdf.sample(ctx, si, lobe, square, mirror)
                 scattered = scattered * dr.select(mirror, Color3f(relative(by_mirror)), smooth)
-                target.wi = dr.select(mirror, target.wi, attached_wi(target, si.p))
+                target.wi = dr.select(mirror | along, target.wi, attached_wi(target, si.p))
             emitted = target.emitter(scene).eval(target, by_bsdf)
             seen = DirectionSample3f(scene, dr.detach(target), dr.detach(si))
             other = scene.pdf_emitter_direction(dr.detach(si), seen, by_bsdf & ~delta)

@@ -17,9 +17,18 @@ from djpt.core.records import (
 )
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
+from djpt.dispatch.family import NONE
 from djpt.integrators.projective.carried_rays import carried_rays, onward_direction
 from djpt.integrators.projective.projective_sampling import PSIntegrator
 from djpt.integrators.projective.reattach import attached_light, attached_wi, bsdf_weight, has_mirrors, relative
+from djpt.integrators.projective.self_views import (
+    MOST_FOLLOWED,
+    Approach,
+    moving_mesh,
+    moving_meshes,
+    no_rays,
+    noted,
+)
 from djpt.integrators.projective.weights import mis_weight
 from djpt.jit.kernels import opaque
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
@@ -64,7 +73,7 @@ class PathProjectiveIntegrator(PSIntegrator):
         # Whether rays are attached, and what is known of their changes or adjoints.
         with dr.resume_grad():
             by_camera = not primal and dr.grad_enabled(ray.o, ray.d)
-        carries = not primal and (by_camera or has_mirrors(scene))
+        carries = not primal and (by_camera or has_mirrors(scene) or len(moving_meshes(scene)) > 0)
         forward, backward = mode == dr.ADMode.Forward, mode == dr.ADMode.Backward
         rays = carried_rays(mode, ray, sampler.wavefront_size())
         β, η = Color3f(1) + zero, Float(1) + zero
@@ -75,6 +84,8 @@ class PathProjectiveIntegrator(PSIntegrator):
         # Where the path was before; of its first ray nothing is asked.
         o_before, d_before, p_before = Point3f(zero), Vector3f(zero) + 1, Point3f(zero)
         pdf_before, delta_before = Float(1) + zero, Bool(zero == 0)
+        # How many rays in a row the mesh has taken along by which it sees itself.
+        followed = UInt32(zero)
         active = Bool(active) & (zero == 0)
         covered, first = Bool(zero != 0), Bool(zero == 0)
         seeds = UInt32(zero)
@@ -85,7 +96,7 @@ class PathProjectiveIntegrator(PSIntegrator):
 
         while dr.hint(active, label="vertices"):
             here, previous = Ray3f(o, d, maxt=maxt), p_before
-            carried = first | delta_before
+            carried = first | delta_before | (followed > 0)
             with dr.resume_grad(when=not primal):
                 if dr.hint(not primal, mode="scalar"):
                     moved, previous = rays.attach(here, p_before)
@@ -116,7 +127,7 @@ class PathProjectiveIntegrator(PSIntegrator):
             with dr.resume_grad(when=not primal):
                 toward = ds.d
                 if dr.hint(not primal, mode="scalar"):
-                    toward, weight = attached_light(scene, si, ds, weight, by_light)
+                    toward, weight = attached_light(scene, si, ds, weight, followed < MOST_FOLLOWED, by_light)
                 value, pdf = bsdf.eval_pdf(ctx, si, si.to_local(toward), by_light)
                 chance = dr.select(ds.delta, 1, mis_weight(ds.pdf, pdf))
                 Lr = β * dr.select(by_light, value * weight * chance, 0)
@@ -146,13 +157,16 @@ class PathProjectiveIntegrator(PSIntegrator):
             throughput = dr.select(onward, β * scattered, 0)
             if dr.hint(not primal, mode="scalar"):
                 target = dr.detach(scene.ray_intersect(onward_ray, onward))
+                along = onward & ~smooth & target.is_valid() & (followed < MOST_FOLLOWED)
+                along &= moving_mesh(scene, still.shape_index, along) == target.shape_index
+                leads = smooth | along
                 with dr.resume_grad():
-                    change = bsdf_weight(scene, bsdf, si, onward_ray.d, target, onward & ~smooth)
+                    change = bsdf_weight(scene, bsdf, si, onward_ray.d, target, along, onward & ~smooth)
                     turned = onward_ray.d
                     if dr.hint(carries, mode="scalar"):
                         _, by_mirror = bsdf.sample(ctx, si, lobe, square, smooth)
                         change = dr.select(smooth, relative(by_mirror), change)
-                        turned = onward_direction(si, bs.wo, bs.eta, smooth)
+                        turned = dr.select(smooth, onward_direction(si, bs.wo, bs.eta, smooth), turned)
                     Lo = Le + Lr + dr.select(onward, L * change, 0)
                     if dr.hint(backward, mode="scalar"):
                         dr.backward_from(δL * Lo, flags=dr.ADFlag.Default | dr.ADFlag.AllowNoGrad)
@@ -173,16 +187,20 @@ class PathProjectiveIntegrator(PSIntegrator):
 
             if dr.hint(forward, mode="scalar"):
                 with dr.resume_grad():
-                    change, rays = rays.leave(Lo, si.p, turned, smooth)
+                    change, rays = rays.leave(Lo, si.p, turned, leads)
                 δL = δL + change
             if dr.hint(backward, mode="scalar"):
                 with dr.resume_grad():
-                    leads_on = smooth & goes_on
-                    rays = rays.end_before(hit, way_before, dr.grad(previous), active & ~carried & ~leads_on)
-                    rays = rays.keep_rough(way_before, previous, active & ~carried & leads_on)
+                    mirrors_on = ~carried & smooth & goes_on
+                    rays = rays.end_before(hit, way_before, dr.grad(previous), active & ~carried & ~mirrors_on)
+                    rays = rays.keep_rough(way_before, previous, active & mirrors_on)
                     ended = active & carried & ~goes_on
                     rays = rays.end(hit, dr.grad(moved.o), dr.grad(moved.d), ended)
-                    rays = rays.go_on(moved, bs.wo, bs.eta, leads_on, Vector3f(dr.grad(previous)), ~carried)
+                    η_onward = dr.select(along, -1, bs.eta)
+                    by_previous = Vector3f(dr.grad(previous))
+                    rays = rays.go_on(moved, bs.wo, η_onward, leads & goes_on, by_previous, mirrors_on)
+            if dr.hint(not primal, mode="scalar"):
+                followed = dr.select(along, followed + 1, 0)
             active, first = goes_on, first & False
 
         if backward and by_camera:
@@ -225,8 +243,10 @@ class PathProjectiveIntegrator(PSIntegrator):
         active = Bool(active) & (zero == 0)
         β, W, place = Color3f(1) + zero, Color3f(zero), Point2f(zero)
         edges, found, count = UInt32(1) + UInt32(zero), UInt32(zero), UInt32(zero)
-        # The ray from the second vertex to the first.
-        o_viewer, d_viewer = Point3f(zero), Vector3f(zero) + 1
+        # The rays that lead to the first vertex, and how many of them are between points of one mesh that moves.
+        most = max(0, min(MOST_FOLLOWED + 1 if moving_meshes(scene) else 1, self.max_depth - 2))
+        ways = no_rays(most, sampler.wavefront_size())
+        mesh, row, unbroken, row_found = UInt32(NONE) + UInt32(zero), UInt32(zero), zero == 0, UInt32(zero)
 
         while dr.hint(active, label="vertices to the sensor"):
             si = scene.ray_intersect(Ray3f(o, d), active)
@@ -235,9 +255,12 @@ class PathProjectiveIntegrator(PSIntegrator):
             it = Interaction3f(0, 0, [], si.p)
             ds, importance = sensor.sample_direction(it, sampler.next_2d(), active)
             edges += dr.select(active, UInt32(1), 0)
-            is_second = active & (edges == 3)
             back = si.spawn_ray(-d)
-            o_viewer, d_viewer = dr.select(is_second, back.o, o_viewer), dr.select(is_second, back.d, d_viewer)
+            ways = noted(ways, edges - 3, back, active)
+            here = moving_mesh(scene, si.shape_index, active)
+            unbroken &= (edges == 2) | ((here == mesh) & (mesh != NONE))
+            row += dr.select(unbroken & (edges > 2), UInt32(1), 0)
+            mesh = UInt32(here)
             connects = active & has_flag(bsdf.flags(), SMOOTH) & dr.any(importance != 0)
             connects &= ~self.hides(scene, si.spawn_ray_to(ds.p), connects)
             count += dr.select(connects, UInt32(1), 0)
@@ -246,16 +269,19 @@ class PathProjectiveIntegrator(PSIntegrator):
             value = reflected(si, si.to_local(ds.d), chosen)
             W = dr.select(chosen, β * value * importance, W)
             place = dr.select(chosen, ds.uv, place)
-            found = dr.select(chosen, edges, found)
+            found, row_found = dr.select(chosen, edges, found), dr.select(chosen, row, row_found)
 
             active &= edges < longest
             bs, scattered = carried_on(si, sampler.next_1d(), sampler.next_2d(), active)
             β = dr.select(active, β * scattered, β)
             active &= dr.any(β != 0)
+            unbroken &= ~has_flag(bs.sampled_type, DELTA) | (edges == 2)
             onward = si.spawn_ray(si.to_world(bs.wo))
             o, d = Point3f(onward.o), Vector3f(onward.d)
 
-        return W * Float(count), place, found, dr.any(W != 0), Ray3f(o_viewer, d_viewer)
+        followed = row_found - (row_found // (MOST_FOLLOWED + 1)) * (MOST_FOLLOWED + 1)
+        approach = Approach(ways, followed, found == followed + 2)
+        return W * Float(count), place, found, dr.any(W != 0), approach
 
 
 def reflected(si: SurfaceInteraction3f, wo: Vector3f, active: Bool) -> Color3f:

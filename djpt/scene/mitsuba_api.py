@@ -92,8 +92,8 @@ class MitsubaScene(SceneQueries):
     _sensors: list[Sensor]
     _emitters: list[Emitter]
     _integrator: Any
-    _differentiated: list[tuple[int, Any]]
-    """The shapes whose place has gradients, with their indices."""
+    differentiated: list[tuple[int, Any]]
+    """The shapes whose place has gradients, also where these are suspended, with their indices."""
     silhouettes: Silhouettes
     """The silhouettes of shapes that have gradients."""
     _families: dict[Any, Any]
@@ -286,7 +286,7 @@ class MitsubaScene(SceneQueries):
 
     def moving(self) -> list[tuple[int, Any]]:
         """The shapes that move with parameters which have gradients here, with their indices."""
-        return [(i, shape) for i, shape in self._differentiated if attached_place(shape) is not None]
+        return [(i, shape) for i, shape in self.differentiated if attached_place(shape) is not None]
 
     def _add_normal_partials(
         self, si: SurfaceInteraction3f, ray: Ray3f, pi: PreliminaryIntersection3f, flags: int

@@ -281,7 +281,7 @@ class Scene(MitsubaScene):
         """Build all tables, after the scene was compiled or edited."""
         assert isinstance(self.lookup, Detached)
         shapes = self.geometry.contents.shapes
-        self._differentiated = [(i, shape) for i, shape in enumerate(shapes) if shape.parameters_grad_enabled()]
+        self.differentiated = [(i, shape) for i, shape in enumerate(shapes) if shape.parameters_grad_enabled()]
         for part in (self.bsdfs, self.lights, self.media, self.every_medium):
             part.prepare()
         for ensemble in (*self.geometry.every_ensemble, *self.ensembles(), *self.every_medium.ensembles):

@@ -88,7 +88,7 @@ class Link:
     wo: Vector3f
     """The direction of the ray onward, in the local frame; of a rough surface the point that is hit."""
     eta: Float
-    """The ratio of the indices of refraction; 0 of a rough surface."""
+    """The ratio of the indices of refraction; of a rough surface 0, or -1 if the ray onward doesn't turn."""
     adjoint_o: Vector3f
     """The adjoint of the ray's origin; behind a rough surface, where the ray stays, of the point where it begins."""
     adjoint_d: Vector3f
@@ -130,7 +130,7 @@ class Chain:
         Args:
             ray: the ray.
             wo: the direction onward, in the local frame.
-            eta: the ratio of the indices of refraction.
+            eta: the ratio of the indices of refraction; -1 where the ray doesn't turn.
             smooth: where the chain goes on.
             by_p: the adjoint of the position of the vertex before.
             behind_rough: where that is rough.
@@ -166,13 +166,14 @@ class Chain:
         def body(i: UInt32, o: Vector3f, d: Vector3f, links: Any) -> tuple[UInt32, Vector3f, Vector3f, Any]:
             i = i - 1
             link, before = links.read(i), links.read(dr.maximum(i, 1) - 1)
-            rough, behind_rough = link.eta == 0, (i > 0) & (before.eta == 0)
+            behind_rough = (i > 0) & (before.eta == 0)
             with dr.resume_grad():
                 ray, begin = Ray3f(leaf(link.o), leaf(link.d)), leaf(Point3f(before.wo))
                 si = hit(ray, Bool(True), self.from_camera & (i == 0))
                 si.wi = dr.select(behind_rough, attached_wi(si, begin), si.wi)
-                turned = onward_direction(si, link.wo, link.eta, ~rough)
-                back(dr.dot(si.p, Point3f(o)) + dr.dot(turned, dr.select(rough, Vector3f(0), d)))
+                turns = link.eta > 0
+                turned = onward_direction(si, link.wo, link.eta, turns)
+                back(dr.dot(si.p, Point3f(o)) + dr.dot(turned, dr.select(turns, d, Vector3f(0))))
                 by_o = dr.select(behind_rough, Vector3f(dr.grad(begin)), Vector3f(dr.grad(ray.o)))
                 by_d = dr.select(behind_rough, 0, link.adjoint_d + dr.grad(ray.d))
                 return i, link.adjoint_o + by_o, Vector3f(by_d), links

@@ -29,7 +29,7 @@ from djpt.integrators.projective.projection import ProjectOperation
 from djpt.integrators.projective.receivers import Receiver, light_of_lamps
 from djpt.integrators.projective.splat import keep
 from djpt.jit.frozen import recording
-from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f
+from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32
 from djpt.sensors.mapped import MappedCamera
 from djpt.sensors.orthographic import Orthographic
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
@@ -295,7 +295,7 @@ class ProjectiveDetail:
             flags = DiscontinuityFlags.AllTypes | DiscontinuityFlags.Creases | DiscontinuityFlags.DirectionLune
             ss = scene.sample_silhouette(Point3f(sample), int(flags), active)
             active = active & ss.is_valid()
-            importance, place, edges, reached, viewer = parent.sample_viewer(
+            importance, place, edges, reached, approach = parent.sample_viewer(
                 scene, sensor, ss, parent.max_depth, sampler, active
             )
             active = active & reached
@@ -308,14 +308,19 @@ class ProjectiveDetail:
             back = back - light_of_lamps(scene, behind, active)
             weight = dr.select(active, importance * (ss.foreshortening * dr.rcp(ss.pdf)), 0)
             if preprocess:
-                reach = Receiver(parent, scene, sensor, ss, place, edges, viewer, active).reach()
+                receiver = Receiver(parent, scene, sensor, ss, place, edges, approach, active)
                 moving = [k for k, s in enumerate(scene.silhouette_shapes()) if s.parameters_grad_enabled()]
                 jump = dr.select(is_one_of(ss.scene_index, moving), dr.abs(front - back), 0)
-                return weight * (jump + back * reach), [], Point2f(0)
-            keep(ss, active, weight, front, back, behind.t, place, edges, viewer)
-        receiver = Receiver(parent, scene, sensor, ss, place, edges, viewer, active)
-        value = Color3f(front - back) * self.speed(scene, ss, active) + Color3f(back) * receiver.speed_at_edge(behind.t)
-        return Color3f(weight) * value, [], place
+                passed = dr.select(receiver.sees_itself(number_of(scene, ss), active), dr.abs(front - back), back)
+                return weight * (jump + passed * receiver.reach()), [], Point2f(0)
+            keep(ss, active, weight, front, back, behind.t, behind.shape_index, place, edges, approach)
+        receiver = Receiver(parent, scene, sensor, ss, place, edges, approach, active)
+        in_front = receiver.sees_itself(number_of(scene, ss), active)
+        at_back = receiver.sees_itself(behind.shape_index, active & behind.is_valid())
+        speed = receiver.speed()
+        passed = Color3f(back) * dr.select(at_back, speed, receiver.speed_at_edge(behind.t))
+        passed -= Color3f(front) * dr.select(in_front, speed, 0)
+        return Color3f(weight) * (Color3f(front - back) * self.speed(scene, ss, active) + passed), [], place
 
     def speed(self, scene: Any, ss: SilhouetteSample3f, active: Bool | bool) -> Float:
         """The speed of silhouettes along their normals: 0, attached to the parameters of the shapes."""
@@ -342,6 +347,13 @@ def viewpoint_of(scene: Any, sensor: Any) -> Point3f:
         )
     center, radius = scene.bounding_sphere()
     return Point3f(*(float(c) for c in center)) - sensor.direction * (FAR * float(radius))
+
+
+def number_of(scene: Any, ss: SilhouetteSample3f) -> UInt32:
+    """The numbers of the shapes on which silhouettes are."""
+    shapes = scene.geometry.contents.shapes
+    numbers = UInt32([shapes.index(shape) for shape in scene.silhouette_shapes()])
+    return dr.gather(UInt32, numbers, ss.scene_index, ss.is_valid())
 
 
 def detached(sensor: Any) -> Any:

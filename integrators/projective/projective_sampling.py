@@ -17,6 +17,7 @@ from djpt.integrators.projective.film_edges import FilmEdges
 from djpt.integrators.projective.path_edges import path_edges
 from djpt.integrators.projective.reattach import delta_lights, has_mirrors
 from djpt.integrators.projective.receivers import followed, only_lamps_shine, outlined, shadowed_lamps
+from djpt.integrators.projective.self_views import Approach
 from djpt.integrators.projective.shadows import LampShadows, ShadowEdges
 from djpt.integrators.projective.splat import attached_splat, keep
 from djpt.jit.frozen import recording
@@ -168,11 +169,10 @@ class PSIntegrator(RBIntegrator):
         max_depth: Any,
         sampler: Sampler,
         active: Bool | bool,
-    ) -> tuple[Color3f, Point2f, UInt32, Bool, Ray3f | None]:
-        """The result of `sample_importance`, and the rays that hit what sees the silhouettes.
+    ) -> tuple[Color3f, Point2f, UInt32, Bool, Approach | None]:
+        """The result of `sample_importance`, and how the path arrives at what sees the silhouettes.
 
-        They come from the next vertex, and are asked for where there are more than two edges. By default there are
-        none, which means that such points don't move.
+        That is asked for where there are more than two edges. By default it is None: such points don't move.
         """
         return (*self.sample_importance(scene, sensor, ss, max_depth, sampler, [], active), None)
 

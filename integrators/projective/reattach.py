@@ -2,7 +2,8 @@
 
 One rule says how the vertices of a path move, see `docs/theory/moving-geometry.md`: a vertex is the hit of the ray that
 arrives at it. That ray stays as it is, unless it comes from a camera that moves, or from a perfectly smooth surface,
-which takes it along. What a rough surface looks at stays where it is, in area measure.
+which takes it along. What a rough surface looks at stays where it is, in area measure; but a mesh that moves takes the
+rays along by which it sees itself, see `self_views`.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from djpt.core.records import (
     has_flag,
 )
 from djpt.integrators.projective.horizons import horizon_weight
+from djpt.integrators.projective.self_views import following, moving_mesh
 from djpt.integrators.projective.weights import solid_angle_to_area_jacobian
 from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, Vector3f
 from djpt.shapes.silhouettes.base import with_gradient
@@ -90,41 +92,57 @@ def attached_wi(si: SurfaceInteraction3f, previous: Point3f) -> Vector3f:
 
 
 def attached_light(
-    scene: Any, si: SurfaceInteraction3f, ds: DirectionSample3f, weight: Color3f, active: Bool
+    scene: Any, si: SurfaceInteraction3f, ds: DirectionSample3f, weight: Color3f, free: Bool | bool, active: Bool
 ) -> tuple[Vector3f, Color3f]:
     """The direction of an emitter sample and its weight, attached to the emitter's values and to the point `si`.
 
     As with the samples of a BSDF, the place on the emitter is where the ray there hits it: if the emitter moves, its
-    texture moves past. As `si` moves, that place stays, and the solid angle of an area changes. The light of a point,
-    or parallel light, is followed where it goes.
+    texture moves past. As `si` moves, that place stays, and the solid angle of an area changes; but where rays are
+    `free` to, they move with a mesh that sees itself shine. The light of a point, or parallel light, is followed where
+    it goes.
     """
     flags = ds.emitter.flags()
     surface, infinite = has_flag(flags, EmitterFlags.Surface), has_flag(flags, EmitterFlags.Infinite)
     on_lamp = active & surface
+    along = Bool(False)
+    lamps_move = any(shape.emitter() is not None for _, shape in scene.moving())
+    if lamps_move:
+        to_lamp = dr.detach(si).spawn_ray(dr.detach(ds.d))
+        found = scene.closest_hit(to_lamp, on_lamp)
+        along = on_lamp & free & (moving_mesh(scene, si.shape_index, found.is_valid()) == found.shape_index)
+        hit = scene.surface_interaction_of(found, following(to_lamp, si.p, along))
     toward = dr.normalize(dr.detach(ds.p) - si.p)
     if any(light.is_moving() for light in delta_lights(scene)):
         delta = active & has_flag(flags, EmitterFlags.Delta)
         followed, _ = ds.emitter.sample_direction(si, Point2f(0), delta)
         toward, infinite = dr.select(delta, followed.d, toward), infinite & ~delta
-    d = Vector3f(with_gradient(ds.d, dr.select(infinite | ~active, dr.detach(ds.d), toward)))
+    d = Vector3f(with_gradient(ds.d, dr.select(infinite | along | ~active, dr.detach(ds.d), toward)))
     arriving = scene.eval_emitter_direction(si, ds.replaced(d=d), active)
-    if any(shape.emitter() is not None for _, shape in scene.moving()):
-        hit = scene.ray_intersect(dr.detach(si).spawn_ray(dr.detach(ds.d)), active=on_lamp)
-        hit.wi = attached_wi(hit, si.p)
+    if lamps_move:
+        hit.wi = dr.select(along, hit.wi, attached_wi(hit, si.p))
         arriving = dr.select(on_lamp & hit.is_valid(), hit.emitter(scene).eval(hit, on_lamp), arriving)
     inverse = dr.select(ds.pdf != 0, dr.rcp(dr.detach(ds.pdf)), 0)
     plain = dr.select(active & dr.any(weight != 0), arriving * inverse, 0)
-    change = relative_solid_angle(si.p, ds.p, ds.n, on_lamp)
+    change = relative_solid_angle(si.p, ds.p, ds.n, on_lamp & ~along)
     return d, Color3f(with_gradient(weight, plain)) * change * horizon_weight(scene, si, d, ds.dist, active)
 
 
 def bsdf_weight(
-    scene: Any, bsdf: Any, si: SurfaceInteraction3f, d: Vector3f, target: SurfaceInteraction3f, active: Bool
+    scene: Any,
+    bsdf: Any,
+    si: SurfaceInteraction3f,
+    d: Vector3f,
+    target: SurfaceInteraction3f,
+    along: Bool,
+    active: Bool,
 ) -> Color3f:
-    """1 per channel, with the relative derivatives of a BSDF's value along `d`, of the solid angle, and of horizons."""
-    toward = direction_to(si, target, d)
+    """1 per channel, with the relative derivatives of a BSDF's value along `d`, of the solid angle, and of horizons.
+
+    Where the target moves `along`, the direction stays.
+    """
+    toward = Vector3f(with_gradient(d, dr.select(along, d, direction_to(si, target, d))))
     value = bsdf.eval(BSDFContext(), si, si.to_local(toward), active)
-    change = relative_solid_angle(si.p, target.p, target.n, active & target.is_valid())
+    change = relative_solid_angle(si.p, target.p, target.n, active & target.is_valid() & ~along)
     return Color3f(relative(value)) * change * horizon_weight(scene, si, toward, target.t, active)
 
 

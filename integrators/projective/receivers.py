@@ -17,6 +17,7 @@ from djpt.core.records import (
     has_flag,
 )
 from djpt.emitters.area import Area
+from djpt.integrators.projective.self_views import MOST_FOLLOWED, Approach, moving_mesh
 from djpt.integrators.projective.splat import keep
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.scene.intersecting_shapes import between, is_sphere
@@ -42,7 +43,7 @@ class Receiver:
         ss: the silhouettes.
         place: the places on the film, in pixels.
         edges: the edges between the sensor and the silhouettes.
-        viewer: the rays from the next vertex, where there are more than two edges; None: those points stay.
+        approach: the rays that hit the points, where there are more than two edges; None: such points stay.
         active: the lanes that matter.
     """
 
@@ -54,19 +55,20 @@ class Receiver:
         ss: SilhouetteSample3f,
         place: Point2f,
         edges: UInt32,
-        viewer: Ray3f | None,
+        approach: Approach | None,
         active: Bool | bool,
     ) -> None:
         window = Point2f(sensor.film().crop_size())
         self._by_sensor = by_sensor = edges == 2
         self._sensor_moves = bool(sensor.attached_names())
         shown = sensor.sample_ray_differential(0, 0, dr.detach(place) / window, Point2f(0))[0]
-        o, d, seen = shown.o, shown.d, Bool(active) & by_sensor
-        if viewer is not None:
-            o, d, seen = dr.select(by_sensor, o, viewer.o), dr.select(by_sensor, d, viewer.d), Bool(active)
-        self._si = integrator.first_hit(scene, Ray3f(o, d), seen, by_sensor)
-        self._scene, self._ss, self._d = scene, ss, d
-        slides_far = dr.abs(dr.dot(dr.detach(self._si.n), dr.detach(d))) < GRAZING
+        ray, seen, self._followed = Ray3f(shown.o, shown.d), Bool(active) & by_sensor, UInt32(0)
+        if approach is not None:
+            seen, self._followed = Bool(active), approach.count
+            ray = approach.last(integrator, scene, ray, seen)
+        self._si = integrator.first_hit(scene, ray, seen, by_sensor)
+        self._scene, self._ss, self._d = scene, ss, dr.detach(ray.d)
+        slides_far = dr.abs(dr.dot(dr.detach(self._si.n), self._d)) < GRAZING
         self._seen = seen & self._si.is_valid() & ~slides_far
 
     @property
@@ -74,14 +76,22 @@ class Receiver:
         """The points x, attached."""
         return Point3f(self._si.p)
 
+    def sees_itself(self, number: UInt32, active: Bool | bool) -> Bool:
+        """Whether what is seen of the shapes of a number moves along with x: see `self_views`."""
+        mine = moving_mesh(self._scene, self._si.shape_index, active & self._si.is_valid())
+        return (mine == number) & (self._followed < MOST_FOLLOWED)
+
+    def speed(self) -> Float:
+        """The speed along n of x: 0, attached."""
+        x = self._si.p
+        return dr.select(self._seen, dr.dot(x - dr.detach(x), dr.detach(self._ss.n)), 0)
+
     def speed_at_edge(self, behind: Float) -> Float:
         """The speed along n at y of lines from x to fixed points, which are `behind` y at a distance: 0, attached.
 
         With s the fraction of the way from x to such a point that y lies at, it is (1 - s) <x', n>.
         """
-        p = dr.detach(self._si.p)
-        share = rest_of_way(self._distance(), behind)
-        return dr.select(self._seen, dr.dot(self._si.p - p, dr.detach(self._ss.n)) * share, 0)
+        return self.speed() * rest_of_way(self._distance(), behind)
 
     def speed_by_turn(self, d: Vector3f, behind: Float) -> Float:
         """The speed along n at y of lines from x to points that move: 0, attached to the direction `d` from y to them.
@@ -137,14 +147,14 @@ def lit_receivers(
         ray = ss.spawn_ray()
         ray.maxt = ds.dist * (1 - SHADOW_EPSILON)
         lit = Bool(active) & dr.any(arriving != 0) & ~scene.ray_test(ray, active)
-        importance, place, edges, reached, viewer = integrator.sample_viewer(
+        importance, place, edges, reached, approach = integrator.sample_viewer(
             scene, sensor, ss, integrator.max_depth, sampler, lit
         )
         lit = lit & reached
         across = dr.norm(dr.cross(ss.d, ss.silhouette_d))
         weight = dr.select(lit, importance * arriving * (across * dr.rcp(ss.pdf)), 0)
-        keep(ss, lit, weight, ds.dist, place, edges, viewer)
-    return Receiver(integrator, scene, sensor, ss, place, edges, viewer, lit), Color3f(weight), place, lit
+        keep(ss, lit, weight, ds.dist, place, edges, approach)
+    return Receiver(integrator, scene, sensor, ss, place, edges, approach, lit), Color3f(weight), place, lit
 
 
 def shadowed_lamps(scene: Any) -> list[Any]:
