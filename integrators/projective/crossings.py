@@ -21,7 +21,7 @@ import drjit as dr
 from djpt.core.records import Ray3f, SurfaceInteraction3f
 from djpt.integrators.projective.smooth_chains import Chains, side_of
 from djpt.integrators.projective.splat import keep
-from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point3f, UInt32, Vector2f
+from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point3f, UInt32, Vector2f, Vector3f
 from djpt.textures.patches import adjoin
 
 __all__ = ["PRECISION", "STRIP", "Line", "Lines", "edges_on_lines"]
@@ -54,7 +54,8 @@ class Lines:
         depth: the number of edges before the rays begin.
         meetings: whether curves count in which the surfaces meet that the rays hit first.
         outlines: where outlines count of what they hit first.
-        start: the points where the rays begin, attached, if they are those of rough surfaces: what these look at stays.
+        start: the points where the rays begin, attached, if they are those of rough surfaces.
+        mesh: the numbers of the meshes there that take rays along by which they see themselves, see `self_views`.
     """
 
     rays: Line
@@ -66,6 +67,7 @@ class Lines:
     meetings: bool = True
     outlines: Bool | bool = False
     start: Point3f | None = None
+    mesh: UInt32 | None = None
 
 
 def edges_on_lines(
@@ -114,8 +116,8 @@ def edges_on_lines(
     length = dr.norm(slope)
     moves = counts & (length > 0) & dr.isfinite(length)
     across_line = dr.select(moves, -dr.sign(slope.x) / length, 0)
-    change, behind = edge.change()
-    value = Color3f(here - there) * change + dr.select(front_first, -Color3f(there), Color3f(here)) * behind
+    change_here, change_there = edge.changes()
+    value = Color3f(here) * change_here - Color3f(there) * change_there
     mass = dr.select(moves, dr.max(dr.abs(here - there)) / length, 0)
     return value * across_line, mass, place
 
@@ -167,22 +169,37 @@ class Edge:
                 slopes.append(dr.grad(g))
         return Vector2f(*slopes)
 
-    def change(self) -> tuple[Float, Float]:
-        """The change of g at a fixed place, and what it is more for the surface behind: 0, attached to what moves."""
-        first = self.lines.rays(self.place, Float(0))
-        ray = self.chains.attached(first, self.lines.bits, self.link, self.active, self.lines.start)
-        points = [self.chains.stuck(r, self.link, self.active & si.is_valid()) for si, r in (self.first, self.second)]
-        g = self.value(ray, *points)
-        behind = Float(0)
-        if self.lines.start is not None:
-            # The line from the moving start to a fixed point behind.
-            distances = [dr.detach(si.t) for si, _ in (self.first, self.second)]
-            front, back = (dr.select(self.first_in_front ^ swap, *distances) for swap in (False, True))
-            hidden = self.active & (self.link == 0) & ~self.meet
-            share = dr.select(dr.isfinite(back), 1 - front / back, 1)
-            moved = self.lines.start - dr.detach(self.lines.start)
-            behind = dr.select(hidden, dr.dot(self.across, moved) * share, 0)
-        return dr.select(self.active, g - dr.detach(g), 0), behind
+    def changes(self) -> tuple[Float, Float]:
+        """The changes of g, as it counts for this side and for the other one: 0, attached to what moves.
+
+        At the edge, the line from x, where rays begin, to what a side shows moves by (1 - s) x', with s the fraction of
+        the way that the edge is at; by x' if a mesh sees itself there. Behind smooth surfaces, the chain moves instead.
+        """
+        lines, link = self.lines, self.link
+        first = lines.rays(self.place, Float(0))
+        ray = self.chains.attached(first, lines.bits, link, self.active, lines.start, lines.mesh)
+        sides = self.first, self.second
+        points = [self.chains.stuck(r, link, self.active & si.is_valid()) for si, r in sides]
+        changes = []
+        for si, _ in sides:
+            g = self.value(self._at_edge(ray, si), *points)
+            changes.append(dr.select(self.active, g - dr.detach(g), 0))
+        return changes[0], changes[1]
+
+    def _at_edge(self, ray: Ray3f, si: SurfaceInteraction3f) -> Ray3f:
+        """The ray at the edge of a side: turned, where it comes from a rough surface, as far as that moves it."""
+        x, mesh = self.lines.start, self.lines.mesh
+        if x is None or mesh is None:
+            return ray
+        edge, t = (dr.detach(v) for v in (dr.select(self.first_in_front, self.first[0].t, self.second[0].t), si.t))
+        rest = dr.select(dr.isfinite(t), 1 - edge / t, Float(1))
+        along = si.is_valid() & (si.shape_index == mesh)
+        share = dr.select(along, Float(1), dr.select(self.meet, Float(0), rest))
+        direct = self.active & (self.link == 0)
+        start = dr.detach(ray.o)
+        return Ray3f(
+            dr.select(direct, start, ray.o), ray.d + dr.select(direct, (x - dr.detach(x)) * (share / edge), Vector3f(0))
+        )
 
 
 def crossing(chains: Chains, lines: Lines, sampler: Any, active: Bool) -> tuple[Float, Float, Float, Bool]:

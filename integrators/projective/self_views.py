@@ -21,7 +21,7 @@ from djpt.shapes.silhouettes.base import with_gradient
 
 __all__ = ["MOST_FOLLOWED", "Approach", "following", "moving_mesh", "moving_meshes", "no_rays", "noted"]
 
-MOST_FOLLOWED = 2
+MOST_FOLLOWED = 6
 """The longest row of rays that are taken along."""
 
 

@@ -13,8 +13,10 @@ from typing import Any
 import drjit as dr
 
 from djpt.core.records import BSDFContext, BSDFFlags, Ray3f, RayFlags, SurfaceInteraction3f, has_flag
+from djpt.dispatch.family import NONE
 from djpt.integrators.projective.carried_rays import onward_direction
 from djpt.integrators.projective.reattach import attached_ray, attached_wi
+from djpt.integrators.projective.self_views import following
 from djpt.jit.frozen import recording
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.scene.intersecting_shapes import is_convex
@@ -145,7 +147,15 @@ class Chains:
         )
         return self.hit(Ray3f(o, d, maxt=maxt), number, goes & (number == link))
 
-    def attached(self, ray: Ray3f, bits: UInt32, link: UInt32, active: Bool, previous: Point3f | None = None) -> Ray3f:
+    def attached(
+        self,
+        ray: Ray3f,
+        bits: UInt32,
+        link: UInt32,
+        active: Bool,
+        previous: Point3f | None = None,
+        mesh: UInt32 | None = None,
+    ) -> Ray3f:
         """The ray of a link, attached to the first ray and to the surfaces on the way.
 
         Args:
@@ -154,12 +164,17 @@ class Chains:
             link: the number of the link.
             active: the lanes that matter.
             previous: where first rays start, attached.
+            mesh: the numbers of the meshes there that take rays along by which they see themselves, see `self_views`.
         """
+        along = Bool(False)
+        if previous is not None and mesh is not None:
+            along = active & (self.hit(dr.detach(ray), 0, active & (mesh != NONE)).shape_index == mesh)
+            ray = following(ray, previous, along)
         for number in range(self.longest):
             here = active & (number < link)
             si = self.hit(ray, number, here)
             if number == 0 and previous is not None:
-                si.wi = dr.select(self._from_camera, si.wi, attached_wi(si, previous))
+                si.wi = dr.select(Bool(self._from_camera) | along, si.wi, attached_wi(si, previous))
             with dr.suspend_grad():
                 still = dr.detach(si)
                 bs, _, _ = self.turn(still, bits >> number, here)

@@ -7,16 +7,18 @@ from dataclasses import replace
 import pytest
 
 from djpt.core.transforms import ScalarTransform4f as T
-from tests.silhouettes import camera_cases, cases, light_cases, mirror_cases
+from tests.silhouettes import camera_cases, cases, hollow_cases, light_cases, mirror_cases
 from tests.silhouettes.cases import INTERIOR, PRB, Case, plate, sensor, sky, turn
 
-CASES = cases.CASES | camera_cases.CASES | light_cases.CASES | mirror_cases.CASES
+CASES = cases.CASES | camera_cases.CASES | light_cases.CASES | mirror_cases.CASES | hollow_cases.CASES
 
 QUICK = {
     "a coarse smooth mesh": "direct_projective",
     "a camera, turn: a globe": "prb_projective",
     "a ball rises from a floor": "direct_projective",
     "a flat mirror": "prb_projective",
+    "a bowl with dents": "direct_projective",
+    "dents light each other": "prb_projective",
     "a smooth octahedron turns before a low lamp": "prb_projective",
     "the shadow of a ball in the light of a point": "direct_projective",
 }

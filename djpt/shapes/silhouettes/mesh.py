@@ -87,6 +87,11 @@ class MeshSilhouette(Silhouette):
         own, other = self.shape.face_normal(edge // 3, active), self.shape.face_normal(opposite // 3, shared)
         return opposite, shared, own, other
 
+    def hollow(self, opposite: UInt32, own: Normal3f, active: Bool | bool) -> Bool:
+        """Whether the triangle beyond an edge rises above the plane of the other one, whose normal is `own`."""
+        _, end, third = self.corners(opposite, active)
+        return dr.dot(own, dr.normalize(third - end)) > 0
+
     def jumps(self, edge: UInt32, active: Bool | bool = True) -> Bool:
         """Whether shading or a pattern may jump at an edge of whose triangles both are seen."""
         return dr.gather(Bool, self.shape.joints[1], edge, active) | self._pattern_jumps(edge, active)
@@ -137,9 +142,9 @@ class MeshSilhouette(Silhouette):
         bends = dr.dot(own, other) < 1
         creased = self.creases(edge, own, other)
         if not has_flag(self.shape.bsdf().flags(), BSDFFlags.BackSide):
-            # Edges of hollows separate a triangle that is seen from the front from one that is black from behind.
-            _, q1, q2 = self.corners(opposite, first)
-            bends &= dr.dot(own, dr.normalize(q2 - q1)) < 0
+            # From the lit side of a closed mesh only one of both bends is seen as an outline.
+            hollow = self.hollow(opposite, own, first)
+            bends &= (hollow if self.shape.flip_normals else ~hollow) | dr.any(~shared)
         if creases:
             bends |= creased
         return dr.select((first & bends) | ~shared, dr.norm(b - a), 0)
@@ -321,10 +326,15 @@ class MeshSilhouette(Silhouette):
         return ss
 
     def foreground(self, ss: SilhouetteSample3f, active: Bool | bool) -> tuple[Point3f, Normal3f]:
-        """Of the two triangles at a silhouette that which is seen from the front; else that of the edge."""
+        """Of the two triangles at a silhouette that which is nearer to the viewer; else that of the edge.
+
+        Of a ridge it is the one that is seen from the front, of a hollow the other one.
+        """
         edge = 3 * ss.prim_index + ss.projection_index
         opposite, shared, own, other = self.normals(edge, active)
-        beyond = shared & (dr.dot(own, ss.d) > 0) & (dr.dot(other, ss.d) < 0)
+        facing, other_facing = dr.dot(own, ss.d) < 0, dr.dot(other, ss.d) < 0
+        ahead = self.hollow(opposite, own, shared)
+        beyond = shared & (facing == ahead) & (other_facing != ahead)
         face, n = dr.select(beyond, opposite // 3, ss.prim_index), dr.select(beyond, other, own)
         a, b, c = self.at_corners(self.place(), face, active)
         return dr.fma(INSET, (a + b + c) / 3 - ss.p, ss.p), -n if self.shape.flip_normals else n
