@@ -8,7 +8,6 @@ import drjit as dr
 import numpy as np
 
 import djpt
-from djpt.core.transforms import ScalarTransform4f as T
 from djpt.jit.types import Float, Point3f
 from tests.silhouettes.cases import PRB, Case, ball, sensor, slide
 
