@@ -20,7 +20,7 @@ from djpt.integrators.projective.reattach import (
     mirrored,
     relative,
 )
-from djpt.integrators.projective.self_views import following, moving_mesh
+from djpt.integrators.projective.self_views import following, sees_itself
 from djpt.integrators.projective.splat import keep
 from djpt.integrators.projective.weights import mis_weight
 from djpt.jit.types import Bool, Color3f, Float, Point2f, UInt32
@@ -104,7 +104,7 @@ class DirectProjectiveIntegrator(PSIntegrator):
                 turned = bsdf.sh_frame(si, mirror).to_world(mirrored(si.wi, bs.wo, bs.eta))
                 next_ray = attached_ray(next_ray, Ray3f(si.p, turned), mirror)
             found = scene.closest_hit(dr.detach(next_ray), by_bsdf)
-            along = by_bsdf & ~delta & (moving_mesh(scene, si.shape_index, found.is_valid()) == found.shape_index)
+            along = sees_itself(scene, si.shape_index, found.shape_index, by_bsdf & ~delta & found.is_valid())
             target = scene.surface_interaction_of(found, following(next_ray, si.p, along))
             if attached:
                 keep(next_ray, target.t, target.uv, target.prim_index)

@@ -28,6 +28,7 @@ from djpt.integrators.projective.self_views import (
     moving_meshes,
     no_rays,
     noted,
+    sees_itself,
 )
 from djpt.integrators.projective.weights import mis_weight
 from djpt.jit.kernels import opaque
@@ -158,7 +159,7 @@ class PathProjectiveIntegrator(PSIntegrator):
             if dr.hint(not primal, mode="scalar"):
                 target = dr.detach(scene.ray_intersect(onward_ray, onward))
                 along = onward & ~smooth & target.is_valid() & (followed < MOST_FOLLOWED)
-                along &= moving_mesh(scene, still.shape_index, along) == target.shape_index
+                along = sees_itself(scene, still.shape_index, target.shape_index, along)
                 leads = smooth | along
                 with dr.resume_grad():
                     change = bsdf_weight(scene, bsdf, si, onward_ray.d, target, along, onward & ~smooth)

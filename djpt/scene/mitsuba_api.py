@@ -19,7 +19,7 @@ from djpt.core.records import (
     SurfaceInteraction3f,
 )
 from djpt.core.records.flags import SurfaceDetail
-from djpt.core.records.record import note_latest
+from djpt.core.records.record import note_latest, of_scene
 from djpt.dispatch.ensemble import Ensemble, prepare_followed
 from djpt.dispatch.family import NONE, Family
 from djpt.emitters import Emitter
@@ -235,7 +235,7 @@ class MitsubaScene(SceneQueries):
 
     def own(self, record: PreliminaryIntersection3f | SurfaceInteraction3f) -> None:
         """Make a record one of this scene, to which also those belong that `dr.zeros` makes from now on."""
-        record.scene_ref = {self: ()}
+        record.scene_ref = of_scene(self)
         note_latest(self)
         if not self.is_view:
             # A script traces a ray before the loop in which it may want gradients.
@@ -347,7 +347,7 @@ class MitsubaScene(SceneQueries):
         ds, weight = light.ds, light.weight
         if test_visibility:
             weight = self.transmittance(self.shadow_ray(ref, ds), weight)  # type: ignore[arg-type]
-        ds.scene_ref = {self: ()}
+        ds.scene_ref = of_scene(self)
         return ds, weight
 
     def pdf_emitter_direction(

@@ -11,6 +11,7 @@ import drjit as dr
 from djpt.core.lookup import Members
 from djpt.core.records import RAY_EPSILON, DirectionSample3f, PreliminaryIntersection3f, Ray3f, SurfaceInteraction3f
 from djpt.core.records.flags import SurfaceDetail
+from djpt.core.records.record import of_scene
 from djpt.description.plugin import Plugin
 from djpt.dispatch.ensemble import Ensemble, Lookup
 from djpt.emitters.pointer import EmitterPtr
@@ -154,7 +155,7 @@ class SceneQueries(Plugin):
             face=pi.face,
             media=pi.media or ray.media,
             prim_uv=surface.prim_uv,
-            scene_ref={self: ()},
+            scene_ref=of_scene(self),
         )
         si.found_at(pi.t, valid)
         si.arrived_with(ray)

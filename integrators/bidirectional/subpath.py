@@ -30,7 +30,7 @@ from djpt.core.records import (
     SurfaceInteraction3f,
     has_flag,
 )
-from djpt.core.records.record import Record
+from djpt.core.records.record import Record, of_scene
 from djpt.emitters.pointer import EmitterPtr
 from djpt.integrators.base import SMALL
 from djpt.integrators.paths.path_vertex import MediumVertex, PathVertex, Scattering
@@ -307,7 +307,7 @@ class CompactInteraction(Record):
     def interaction(self, scene: Scene, media: tuple[UInt32, ...] = ()) -> SurfaceInteraction3f:
         """The surface point, with the medium of the ray that has hit it, if needed."""
         kept = {name: getattr(self, name) for name in SURFACE}
-        si: SurfaceInteraction3f = SurfaceInteraction3f.holding(**kept, media=media, scene_ref={scene: ()})
+        si: SurfaceInteraction3f = SurfaceInteraction3f.holding(**kept, media=media, scene_ref=of_scene(scene))
         return si
 
 

@@ -14,6 +14,7 @@ from djpt.integrators.projective.beams import BeamSides, has_sides
 from djpt.integrators.projective.circles import edge_of_circle
 from djpt.integrators.projective.detail import ProjectiveDetail
 from djpt.integrators.projective.film_edges import FilmEdges
+from djpt.integrators.projective.outlines import spread
 from djpt.integrators.projective.path_edges import path_edges
 from djpt.integrators.projective.reattach import delta_lights, has_mirrors
 from djpt.integrators.projective.receivers import followed, only_lamps_shine, outlined, shadowed_lamps
@@ -336,7 +337,7 @@ class PSIntegrator(RBIntegrator):
         detail = self.proj_detail
         with dr.suspend_grad():
             assert detail.outlines is not None
-            ss = detail.outlines.sample(sampler.next_2d())
+            ss = detail.outlines.sample(spread(sampler))
             active = ss.is_valid() & (ss.pdf > 0)
             difference, _ = detail.eval_primary_silhouette_radiance_difference(scene, sampler, ss, sensor, active)
             weight = dr.select(active, difference * dr.rcp(ss.pdf), 0)

@@ -23,7 +23,7 @@ from djpt.core.records import (
     has_flag,
 )
 from djpt.integrators.projective.horizons import horizon_weight
-from djpt.integrators.projective.self_views import following, moving_mesh
+from djpt.integrators.projective.self_views import following, sees_itself
 from djpt.integrators.projective.weights import solid_angle_to_area_jacobian
 from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, Vector3f
 from djpt.shapes.silhouettes.base import with_gradient
@@ -109,7 +109,7 @@ def attached_light(
     if lamps_move:
         to_lamp = dr.detach(si).spawn_ray(dr.detach(ds.d))
         found = scene.closest_hit(to_lamp, on_lamp)
-        along = on_lamp & free & (moving_mesh(scene, si.shape_index, found.is_valid()) == found.shape_index)
+        along = sees_itself(scene, si.shape_index, found.shape_index, on_lamp & free & found.is_valid())
         hit = scene.surface_interaction_of(found, following(to_lamp, si.p, along))
     toward = dr.normalize(dr.detach(ds.p) - si.p)
     if any(light.is_moving() for light in delta_lights(scene)):

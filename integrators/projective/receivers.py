@@ -17,7 +17,7 @@ from djpt.core.records import (
     has_flag,
 )
 from djpt.emitters.area import Area
-from djpt.integrators.projective.self_views import MOST_FOLLOWED, Approach, moving_mesh
+from djpt.integrators.projective.self_views import MOST_FOLLOWED, Approach, sees_itself
 from djpt.integrators.projective.splat import keep
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.scene.intersecting_shapes import between, is_sphere
@@ -78,8 +78,8 @@ class Receiver:
 
     def sees_itself(self, number: UInt32, active: Bool | bool) -> Bool:
         """Whether what is seen of the shapes of a number moves along with x: see `self_views`."""
-        mine = moving_mesh(self._scene, self._si.shape_index, active & self._si.is_valid())
-        return (mine == number) & (self._followed < MOST_FOLLOWED)
+        free = active & self._si.is_valid() & (self._followed < MOST_FOLLOWED)
+        return sees_itself(self._scene, self._si.shape_index, number, free)
 
     def speed(self) -> Float:
         """The speed along n of x: 0, attached."""

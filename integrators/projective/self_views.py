@@ -19,7 +19,7 @@ from djpt.dispatch.family import NONE
 from djpt.jit.types import Bool, Point3f, UInt32, Vector3f
 from djpt.shapes.silhouettes.base import with_gradient
 
-__all__ = ["MOST_FOLLOWED", "Approach", "following", "moving_mesh", "moving_meshes", "no_rays", "noted"]
+__all__ = ["MOST_FOLLOWED", "Approach", "following", "moving_mesh", "moving_meshes", "no_rays", "noted", "sees_itself"]
 
 MOST_FOLLOWED = 6
 """The longest row of rays that are taken along."""
@@ -34,6 +34,12 @@ def moving_mesh(scene: Any, number: UInt32, active: Bool | bool) -> UInt32:
     """The numbers of shapes that are meshes which move; of others, and on lanes that aren't `active`, `NONE`."""
     still = dr.detach(number)
     return dr.select(Bool(active) & is_one_of(still, moving_meshes(scene)), still, UInt32(NONE))
+
+
+def sees_itself(scene: Any, viewer: UInt32, seen: UInt32, active: Bool | bool) -> Bool:
+    """Whether the shapes of two numbers are one and the same mesh, which moves."""
+    still = dr.detach(viewer)
+    return Bool(active) & (still == dr.detach(seen)) & is_one_of(still, moving_meshes(scene))
 
 
 def following(ray: Ray3f, p: Point3f, where: Bool) -> Ray3f:

@@ -12,7 +12,7 @@ import numpy as np
 
 from djpt.core.records import DirectionSample3f, EmitterFlags, Interaction3f, has_flag
 from djpt.integrators.projective.detail import FAR, seen_through
-from djpt.integrators.projective.outlines import Outlines
+from djpt.integrators.projective.outlines import Outlines, spread
 from djpt.integrators.projective.receivers import lit_receivers
 from djpt.jit.types import Bool, Color3f, Point2f, Point3f, UInt32
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
@@ -54,7 +54,7 @@ class ShadowEdges:
 
     def _lit_outlines(self, sampler: Any) -> tuple[SilhouetteSample3f, DirectionSample3f, Color3f, Bool]:
         """Random points of the outlines, the ways from there to the light, the irradiance, and which of them count."""
-        ss = self._outlines.sample(sampler.next_2d())
+        ss = self._outlines.sample(spread(sampler))
         active = ss.is_valid() & (ss.pdf > 0)
         return ss, *self._toward_light(ss.p, active), active
 
@@ -90,7 +90,7 @@ class LampShadows(ShadowEdges):
 
     def _lit_outlines(self, sampler: Any) -> tuple[SilhouetteSample3f, DirectionSample3f, Color3f, Bool]:
         ps = self._lamp.draw_point(sampler.next_2d())
-        ss = self._outlines.sample(sampler.next_2d(), places=Point3f(ps.p))
+        ss = self._outlines.sample(spread(sampler), places=Point3f(ps.p))
         active = ss.is_valid() & (ss.pdf > 0)
         ds = dr.zeros(DirectionSample3f)
         way = ps.p - ss.p

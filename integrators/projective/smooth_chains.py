@@ -168,7 +168,9 @@ class Chains:
         """
         along = Bool(False)
         if previous is not None and mesh is not None:
-            along = active & (self.hit(dr.detach(ray), 0, active & (mesh != NONE)).shape_index == mesh)
+            sees = active & (mesh != NONE)
+            first = self.hit(dr.detach(ray), 0, sees)
+            along = sees & first.is_valid() & (first.shape_index == mesh)
             ray = following(ray, previous, along)
         for number in range(self.longest):
             here = active & (number < link)

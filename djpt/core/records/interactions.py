@@ -16,6 +16,7 @@ from djpt.core.records.record import (
     assignable,
     latest_scene_ref,
     no_wavelengths,
+    of_scene,
     only,
     optional,
     scene_of,
@@ -365,7 +366,7 @@ class SurfaceInteraction3f(Interaction3f, Instanced):
 
     @scene.setter
     def scene(self, scene: SceneView) -> None:
-        self.scene_ref = {scene: ()}
+        self.scene_ref = of_scene(scene)
 
     medium = optional("media", "The medium of the ray that arrived; None in scenes without media.")
 

@@ -22,6 +22,7 @@ __all__ = [
     "latest_scene_ref",
     "no_wavelengths",
     "note_latest",
+    "of_scene",
     "only",
     "optional",
     "scene_of",
@@ -165,7 +166,28 @@ def no_wavelengths(wavelengths: Any) -> None:
 
 
 SceneRef = dict[Any, tuple[()]]
-"""A reference to a scene: it is the only key. Dr.Jit keeps the keys of dicts whatever it does with their values."""
+"""A reference: the only key. Dr.Jit keeps the keys of dicts whatever it does with their values."""
+
+
+class OfScene:
+    """A scene as a key. Loops of Dr.Jit ask all keys for their text, which is long if it is that of a scene."""
+
+    def __init__(self, scene: Any) -> None:
+        self.scene = scene
+
+    def __hash__(self) -> int:
+        return id(self.scene)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, OfScene) and other.scene is self.scene
+
+    def __repr__(self) -> str:
+        return "scene"
+
+
+def of_scene(scene: Any) -> SceneRef:
+    """A reference to a scene."""
+    return {OfScene(scene): ()}
 
 
 class Latest(threading.local):
@@ -190,13 +212,13 @@ def note_latest(scene: Any) -> None:
 def latest_scene_ref() -> SceneRef:
     """The scene of records made by `dr.zeros`, so that they fit into loops and selects with those of hits."""
     scene = None if _latest.scene is None else _latest.scene()
-    return {} if scene is None else {scene: ()}
+    return {} if scene is None else of_scene(scene)
 
 
 def scene_of(record: Any) -> Any:
     """The scene that a record belongs to; raise `RenderError` if there is none."""
-    for scene in record.scene_ref:
-        return scene
+    for key in record.scene_ref:
+        return key.scene
     raise RenderError(f"this {type(record).__name__} belongs to no scene: it wasn't found by a ray")
 
 

@@ -10,7 +10,7 @@ import drjit as dr
 
 from djpt.core.records.interactions import SurfaceInteraction3f
 from djpt.core.records.rays import Ray3f
-from djpt.core.records.record import Record, SceneRef, latest_scene_ref, scene_of
+from djpt.core.records.record import Record, SceneRef, latest_scene_ref, of_scene, scene_of
 from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
 
 __all__ = ["BSDFSample3f", "DirectionSample3f", "EmissionSample", "PositionSample3f"]
@@ -142,7 +142,7 @@ class DirectionSample3f(PositionSample3f):
             si.p, si.sh_frame.n, si.uv, d, dist_squared * inv_dist, Float(0), Float(0), Bool(False), index
         )
         if scene is not None:
-            ds.scene_ref = {scene: ()}
+            ds.scene_ref = of_scene(scene)
         if "time" in si.__dict__:
             ds.time = si.time
         return ds

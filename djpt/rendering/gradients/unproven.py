@@ -124,11 +124,13 @@ def of_lobes(rendering: Rendering, kind: int) -> Iterator[str]:
 
 def shadows_in_mirrors(rendering: Rendering) -> Iterator[str]:
     """Smooth surfaces, and others that light passes straight through, that may show shadows in the light of points."""
-    if rendering.movers() and not alone(rendering) and not direct_light_only(rendering.integrator):
-        for emitter in rendering.emitters(EmitterFlags.Delta):
-            if not emitter.on_shape:
-                for phrase in of_lobes(rendering, BSDFFlags.Delta):
-                    yield f"{phrase}, {named(emitter)} shines"
+    mirrors = list(of_lobes(rendering, BSDFFlags.Delta))
+    if not mirrors or not rendering.movers() or direct_light_only(rendering.integrator) or alone(rendering):
+        return
+    for emitter in rendering.emitters(EmitterFlags.Delta):
+        if not emitter.on_shape:
+            for phrase in mirrors:
+                yield f"{phrase}, {named(emitter)} shines"
 
 
 def bent_mirrors(rendering: Rendering) -> Iterator[str]:
@@ -145,12 +147,14 @@ TOLD_APART = {"sphere", "disk", "rectangle", "cylinder", "cone", "paraboloid", "
 
 def bodies_in_mirrors(rendering: Rendering) -> Iterator[str]:
     """Shapes that may stand before themselves, and smooth surfaces in which they may be seen to do so."""
-    if rendering.movers() and not alone(rendering):
-        for phrase in of_lobes(rendering, BSDFFlags.Delta):
-            for shape in rendering.scene.geometry.contents.shapes:
-                kind = name_of(type(shape)) or ""
-                if not shape.of_triangles and kind not in TOLD_APART and kind not in ("instance", "shapegroup"):
-                    yield f"'{shape.id()}' is of the type '{kind}', {phrase}"
+    mirrors = list(of_lobes(rendering, BSDFFlags.Delta))
+    if not mirrors or not rendering.movers() or alone(rendering):
+        return
+    for phrase in mirrors:
+        for shape in rendering.scene.geometry.contents.shapes:
+            kind = name_of(type(shape)) or ""
+            if not shape.of_triangles and kind not in TOLD_APART and kind not in ("instance", "shapegroup"):
+                yield f"'{shape.id()}' is of the type '{kind}', {phrase}"
 
 
 def bent_normals(rendering: Rendering) -> Iterator[str]:
