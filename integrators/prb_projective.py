@@ -24,11 +24,11 @@ from djpt.integrators.projective.reattach import attached_light, attached_wi, bs
 from djpt.integrators.projective.self_views import (
     MOST_FOLLOWED,
     Approach,
-    moving_mesh,
-    moving_meshes,
     no_rays,
     noted,
     sees_itself,
+    self_viewer,
+    self_viewers,
 )
 from djpt.integrators.projective.weights import mis_weight
 from djpt.jit.kernels import opaque
@@ -74,7 +74,7 @@ class PathProjectiveIntegrator(PSIntegrator):
         # Whether rays are attached, and what is known of their changes or adjoints.
         with dr.resume_grad():
             by_camera = not primal and dr.grad_enabled(ray.o, ray.d)
-        carries = not primal and (by_camera or has_mirrors(scene) or len(moving_meshes(scene)) > 0)
+        carries = not primal and (by_camera or has_mirrors(scene) or len(self_viewers(scene)) > 0)
         forward, backward = mode == dr.ADMode.Forward, mode == dr.ADMode.Backward
         rays = carried_rays(mode, ray, sampler.wavefront_size())
         β, η = Color3f(1) + zero, Float(1) + zero
@@ -85,7 +85,7 @@ class PathProjectiveIntegrator(PSIntegrator):
         # Where the path was before; of its first ray nothing is asked.
         o_before, d_before, p_before = Point3f(zero), Vector3f(zero) + 1, Point3f(zero)
         pdf_before, delta_before = Float(1) + zero, Bool(zero == 0)
-        # How many rays in a row the mesh has taken along by which it sees itself.
+        # How many rays in a row a shape has taken along by which it sees itself.
         followed = UInt32(zero)
         active = Bool(active) & (zero == 0)
         covered, first = Bool(zero != 0), Bool(zero == 0)
@@ -244,10 +244,10 @@ class PathProjectiveIntegrator(PSIntegrator):
         active = Bool(active) & (zero == 0)
         β, W, place = Color3f(1) + zero, Color3f(zero), Point2f(zero)
         edges, found, count = UInt32(1) + UInt32(zero), UInt32(zero), UInt32(zero)
-        # The rays that lead to the first vertex, and how many of them are between points of one mesh that moves.
-        most = max(0, min(MOST_FOLLOWED + 1 if moving_meshes(scene) else 1, self.max_depth - 2))
+        # The rays that lead to the first vertex, and how many of them one shape takes along.
+        most = max(0, min(MOST_FOLLOWED + 1 if self_viewers(scene) else 1, self.max_depth - 2))
         ways = no_rays(most, sampler.wavefront_size())
-        mesh, row, unbroken, row_found = UInt32(NONE) + UInt32(zero), UInt32(zero), zero == 0, UInt32(zero)
+        viewer, row, unbroken, row_found = UInt32(NONE) + UInt32(zero), UInt32(zero), zero == 0, UInt32(zero)
 
         while dr.hint(active, label="vertices to the sensor"):
             si = scene.ray_intersect(Ray3f(o, d), active)
@@ -258,10 +258,10 @@ class PathProjectiveIntegrator(PSIntegrator):
             edges += dr.select(active, UInt32(1), 0)
             back = si.spawn_ray(-d)
             ways = noted(ways, edges - 3, back, active)
-            here = moving_mesh(scene, si.shape_index, active)
-            unbroken &= (edges == 2) | ((here == mesh) & (mesh != NONE))
+            here = self_viewer(scene, si.shape_index, active)
+            unbroken &= (edges == 2) | ((here == viewer) & (viewer != NONE))
             row += dr.select(unbroken & (edges > 2), UInt32(1), 0)
-            mesh = UInt32(here)
+            viewer = UInt32(here)
             connects = active & has_flag(bsdf.flags(), SMOOTH) & dr.any(importance != 0)
             connects &= ~self.hides(scene, si.spawn_ray_to(ds.p), connects)
             count += dr.select(connects, UInt32(1), 0)

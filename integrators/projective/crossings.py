@@ -55,7 +55,7 @@ class Lines:
         meetings: whether curves count in which the surfaces meet that the rays hit first.
         outlines: where outlines count of what they hit first.
         start: the points where the rays begin, attached, if they are those of rough surfaces.
-        mesh: the numbers of the meshes there that take rays along by which they see themselves, see `self_views`.
+        viewer: the numbers of the shapes there, if they take rays along by which they see themselves: see `self_views`.
     """
 
     rays: Line
@@ -67,7 +67,7 @@ class Lines:
     meetings: bool = True
     outlines: Bool | bool = False
     start: Point3f | None = None
-    mesh: UInt32 | None = None
+    viewer: UInt32 | None = None
 
 
 def edges_on_lines(
@@ -173,11 +173,11 @@ class Edge:
         """The changes of g, as it counts for this side and for the other one: 0, attached to what moves.
 
         At the edge, the line from x, where rays begin, to what a side shows moves by (1 - s) x', with s the fraction of
-        the way that the edge is at; by x' if a mesh sees itself there. Behind smooth surfaces, the chain moves instead.
+        the way that the edge is at, or by x' where a shape sees itself. Behind smooth surfaces, the chain moves.
         """
         lines, link = self.lines, self.link
         first = lines.rays(self.place, Float(0))
-        ray = self.chains.attached(first, lines.bits, link, self.active, lines.start, lines.mesh)
+        ray = self.chains.attached(first, lines.bits, link, self.active, lines.start, lines.viewer)
         sides = self.first, self.second
         points = [self.chains.stuck(r, link, self.active & si.is_valid()) for si, r in sides]
         changes = []
@@ -188,12 +188,12 @@ class Edge:
 
     def _at_edge(self, ray: Ray3f, si: SurfaceInteraction3f) -> Ray3f:
         """The ray at the edge of a side: turned, where it comes from a rough surface, as far as that moves it."""
-        x, mesh = self.lines.start, self.lines.mesh
-        if x is None or mesh is None:
+        x, viewer = self.lines.start, self.lines.viewer
+        if x is None or viewer is None:
             return ray
         edge, t = (dr.detach(v) for v in (dr.select(self.first_in_front, self.first[0].t, self.second[0].t), si.t))
         rest = dr.select(dr.isfinite(t), 1 - edge / t, Float(1))
-        along = si.is_valid() & (si.shape_index == mesh)
+        along = si.is_valid() & (si.shape_index == viewer)
         share = dr.select(along, Float(1), dr.select(self.meet, Float(0), rest))
         direct = self.active & (self.link == 0)
         start = dr.detach(ray.o)

@@ -20,7 +20,7 @@ from djpt.core.warp import square_to_uniform_sphere
 from djpt.dispatch.family import NONE
 from djpt.integrators.projective.crossings import PRECISION, Lines, edges_on_lines
 from djpt.integrators.projective.detail import seen_through
-from djpt.integrators.projective.self_views import MOST_FOLLOWED, moving_mesh
+from djpt.integrators.projective.self_views import MOST_FOLLOWED, self_viewer
 from djpt.integrators.projective.smooth_chains import MOST_CHAIN_LINKS, Chains, random_turns
 from djpt.integrators.projective.splat import keep
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
@@ -48,13 +48,13 @@ class Arrival:
     """The turns of the chain."""
     link: UInt32
     """The number of the ray that arrives, counted from 0."""
-    mesh: UInt32
-    """The number of the mesh where the first ray begins, if it takes rays along by which it sees itself; or `NONE`."""
+    viewer: UInt32
+    """The number of the shape where the first ray begins, if it takes rays along by which it sees itself."""
 
     @staticmethod
-    def along(o: Point3f, d: Vector3f, from_camera: Bool, none: UInt32, mesh: UInt32) -> Arrival:
+    def along(o: Point3f, d: Vector3f, from_camera: Bool, none: UInt32, viewer: UInt32) -> Arrival:
         """One whose first ray arrives; `none` is 0 in each lane."""
-        return Arrival(Point3f(o), Vector3f(d), from_camera, UInt32(none), UInt32(none), UInt32(mesh))
+        return Arrival(Point3f(o), Vector3f(d), from_camera, UInt32(none), UInt32(none), UInt32(viewer))
 
     def where(self, mask: Bool, other: Arrival) -> Arrival:
         """This on some lanes, another one on the others."""
@@ -70,10 +70,10 @@ def path_edges(integrator: Any, scene: Any, sensor: Any, sampler: Any, meetings:
     with dr.suspend_grad():
         place = sampler.next_2d() * window
         shown, importance = sensor.sample_ray_differential(0, 0, place / window, Point2f(0))
-        here, before, mesh, weight, depth, mirrored, active = walk(  # type: ignore[no-untyped-call]
+        here, before, viewer, weight, depth, mirrored, active = walk(  # type: ignore[no-untyped-call]
             integrator, scene, sampler, shown, Color3f(importance)
         )
-        keep(place, here, before, mesh, weight, depth, mirrored, active)
+        keep(place, here, before, viewer, weight, depth, mirrored, active)
     camera = sensor.sample_ray_differential(0, 0, place / window, Point2f(0))[0]
     # The point before may have been reached from a rough surface itself, which is taken to stay.
     previous = arrived(integrator, scene, camera, before, None, active).p
@@ -98,7 +98,7 @@ def path_edges(integrator: Any, scene: Any, sensor: Any, sampler: Any, meetings:
 
     bits = random_turns(sampler)
     lines = Lines(
-        rays, LENGTH, PRECISION, PARTS, bits, depth, meetings, outlines=mirrored, start=Point3f(si.p), mesh=mesh
+        rays, LENGTH, PRECISION, PARTS, bits, depth, meetings, outlines=mirrored, start=Point3f(si.p), viewer=viewer
     )
 
     def scattered(s: Float) -> Color3f:
@@ -116,7 +116,7 @@ def arrived(
     """The hits that chains lead to, attached to the camera's rays, and to the points that others come from."""
     chains = Chains(integrator, scene, integrator.max_depth - 1, way.from_camera)
     first = Ray3f(dr.select(way.from_camera, camera.o, way.o), dr.select(way.from_camera, camera.d, way.d))
-    ray = chains.attached(first, way.bits, way.link, active, previous, way.mesh)
+    ray = chains.attached(first, way.bits, way.link, active, previous, way.viewer)
     return chains.hit(ray, way.link, active)
 
 
@@ -141,7 +141,7 @@ def direction(scene: Any, si: SurfaceInteraction3f, sampler: Any, active: Bool) 
 def walk(integrator, scene, sampler, ray, weight):  # type: ignore[no-untyped-def]
     """A path from the camera, of whose rough surfaces one is chosen.
 
-    Returns how the path arrives there, and at the rough surface before; the number of the mesh there if it takes rays
+    Returns how the path arrives there, and at the rough surface before; the number of the shape there if it takes rays
     along, else `NONE`; the weight, the number of edges up to there, whether the first surface of the path was smooth,
     and where there is such a path.
     """
@@ -153,7 +153,7 @@ def walk(integrator, scene, sampler, ray, weight):  # type: ignore[no-untyped-de
     nothing = UInt32(NONE) + none
     way, way_before, here, before = (Arrival.along(o, d, zero == 0, none, nothing) for _ in range(4))
     β, kept, depth, edges = Color3f(weight) + zero, Color3f(zero), UInt32(none), UInt32(none)
-    row, mesh, kept_mesh = UInt32(none), UInt32(nothing), UInt32(nothing)
+    row, viewer, kept_viewer = UInt32(none), UInt32(nothing), UInt32(nothing)
     count, mirrored, η, active = UInt32(none), zero != 0, Float(1) + zero, zero == 0
 
     while dr.hint(active, label="vertices before an edge"):
@@ -167,9 +167,9 @@ def walk(integrator, scene, sampler, ray, weight):  # type: ignore[no-untyped-de
         count += dr.select(sees, UInt32(1), 0)
         chosen = sees & (sampler.next_1d() * Float(count) <= 1)
         here, before = way.where(chosen, here), way_before.where(chosen, before)
-        row = dr.select((way.link == 0) & (way.mesh == si.shape_index) & (way.mesh != NONE), row + 1, 0)
-        mesh = moving_mesh(scene, si.shape_index, active & (row < MOST_FOLLOWED))
-        kept_mesh = dr.select(chosen, mesh, kept_mesh)
+        row = dr.select((way.link == 0) & (way.viewer == si.shape_index) & (way.viewer != NONE), row + 1, 0)
+        viewer = self_viewer(scene, si.shape_index, active & (row < MOST_FOLLOWED))
+        kept_viewer = dr.select(chosen, viewer, kept_viewer)
         kept, edges = dr.select(chosen, β, kept), dr.select(chosen, depth, edges)
 
         bs, scattered = bsdf.sample(ctx, si, sampler.next_1d(), sampler.next_2d(), active)
@@ -179,8 +179,8 @@ def walk(integrator, scene, sampler, ray, weight):  # type: ignore[no-untyped-de
         onward = si.spawn_ray(si.to_world(bs.wo))
         o, d, maxt = Point3f(onward.o), Vector3f(onward.d), Float(onward.maxt)
         through = dr.select(bs.wo.z * si.wi.z < 0, UInt32(1), 0)
-        led_on = Arrival(way.o, way.d, way.from_camera, way.bits | (through << way.link), way.link + 1, way.mesh)
-        fresh = Arrival.along(o, d, zero != 0, none, mesh)
+        led_on = Arrival(way.o, way.d, way.from_camera, way.bits | (through << way.link), way.link + 1, way.viewer)
+        fresh = Arrival.along(o, d, zero != 0, none, viewer)
         way_before = way_before.where(smooth, way)
         way = led_on.where(smooth, fresh)
 
@@ -192,4 +192,4 @@ def walk(integrator, scene, sampler, ray, weight):  # type: ignore[no-untyped-de
         β = dr.select(roulette, β / survival, β)
         active &= (largest > 0) & (~roulette | (sampler.next_1d() < survival))
 
-    return here, before, kept_mesh, kept * Float(count), edges, mirrored, count > 0
+    return here, before, kept_viewer, kept * Float(count), edges, mirrored, count > 0

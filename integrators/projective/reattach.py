@@ -2,7 +2,7 @@
 
 One rule says how the vertices of a path move, see `docs/theory/moving-geometry.md`: a vertex is the hit of the ray that
 arrives at it. That ray stays as it is, unless it comes from a camera that moves, or from a perfectly smooth surface,
-which takes it along. What a rough surface looks at stays where it is, in area measure; but a mesh that moves takes the
+which takes it along. What a rough surface looks at stays where it is, in area measure; but a shape that moves takes the
 rays along by which it sees itself, see `self_views`.
 """
 
@@ -98,7 +98,7 @@ def attached_light(
 
     As with the samples of a BSDF, the place on the emitter is where the ray there hits it: if the emitter moves, its
     texture moves past. As `si` moves, that place stays, and the solid angle of an area changes; but where rays are
-    `free` to, they move with a mesh that sees itself shine. The light of a point, or parallel light, is followed where
+    `free` to, they move with a shape that sees itself shine. The light of a point, or parallel light, is followed where
     it goes.
     """
     flags = ds.emitter.flags()

@@ -145,7 +145,8 @@ def lit_receivers(
     """
     with dr.suspend_grad():
         ray = ss.spawn_ray()
-        ray.maxt = ds.dist * (1 - SHADOW_EPSILON)
+        # It starts ahead of a point that isn't exact.
+        ray.maxt = (ds.dist - dr.dot(ray.o - ss.p, ss.d)) * (1 - SHADOW_EPSILON)
         lit = Bool(active) & dr.any(arriving != 0) & ~scene.ray_test(ray, active)
         importance, place, edges, reached, approach = integrator.sample_viewer(
             scene, sensor, ss, integrator.max_depth, sampler, lit

@@ -1,9 +1,9 @@
-"""What a mesh that moves sees of itself.
+"""What a shape that moves sees of itself.
 
-The ray from one point of such a mesh to another is taken along by the first: its direction stays, and it begins where
-that point moves. If the second point stayed instead, as other shapes do, the first would pass it at all distances down
-to none, and the change of the solid angle would have no finite variance; so it would if the second one stuck to the
-mesh. After `MOST_FOLLOWED` such rays in a row, the next one stays.
+The ray from one point of such a shape to another is taken along by the first: its direction stays, and it begins where
+that point moves. If the second point stayed instead, as those of other shapes do, the first would pass it at all
+distances down to none, at dents and corners, and the change of the solid angle would have no finite variance; so it
+would if the second one stuck to the shape. After `MOST_FOLLOWED` such rays in a row, the next one stays.
 """
 
 from __future__ import annotations
@@ -19,27 +19,27 @@ from djpt.dispatch.family import NONE
 from djpt.jit.types import Bool, Point3f, UInt32, Vector3f
 from djpt.shapes.silhouettes.base import with_gradient
 
-__all__ = ["MOST_FOLLOWED", "Approach", "following", "moving_mesh", "moving_meshes", "no_rays", "noted", "sees_itself"]
+__all__ = ["MOST_FOLLOWED", "Approach", "following", "no_rays", "noted", "sees_itself", "self_viewer", "self_viewers"]
 
 MOST_FOLLOWED = 6
 """The longest row of rays that are taken along."""
 
 
-def moving_meshes(scene: Any) -> list[int]:
-    """The numbers of the meshes that move."""
-    return [number for number, shape in scene.differentiated if shape.of_triangles]
+def self_viewers(scene: Any) -> list[int]:
+    """The numbers of the shapes that move, and aren't flat."""
+    return [number for number, shape in scene.differentiated if shape.plane() is None]
 
 
-def moving_mesh(scene: Any, number: UInt32, active: Bool | bool) -> UInt32:
-    """The numbers of shapes that are meshes which move; of others, and on lanes that aren't `active`, `NONE`."""
+def self_viewer(scene: Any, number: UInt32, active: Bool | bool) -> UInt32:
+    """The numbers of shapes that take such rays along; of others, and on lanes that aren't `active`, `NONE`."""
     still = dr.detach(number)
-    return dr.select(Bool(active) & is_one_of(still, moving_meshes(scene)), still, UInt32(NONE))
+    return dr.select(Bool(active) & is_one_of(still, self_viewers(scene)), still, UInt32(NONE))
 
 
 def sees_itself(scene: Any, viewer: UInt32, seen: UInt32, active: Bool | bool) -> Bool:
-    """Whether the shapes of two numbers are one and the same mesh, which moves."""
+    """Whether the shapes of two numbers are one and the same, which takes such rays along."""
     still = dr.detach(viewer)
-    return Bool(active) & (still == dr.detach(seen)) & is_one_of(still, moving_meshes(scene))
+    return Bool(active) & (still == dr.detach(seen)) & is_one_of(still, self_viewers(scene))
 
 
 def following(ray: Ray3f, p: Point3f, where: Bool) -> Ray3f:
@@ -88,7 +88,7 @@ class Approach:
         for number, (o, d) in enumerate(self.rays):
             here = ~first & (self.count == number)
             ray = Ray3f(dr.select(here, o, ray.o), dr.select(here, d, ray.d))
-        longest = min(len(self.rays), MOST_FOLLOWED) if moving_meshes(scene) else 0
+        longest = min(len(self.rays), MOST_FOLLOWED) if self_viewers(scene) else 0
         for number in reversed(range(longest)):
             goes_on = active & (self.count > number)
             si: SurfaceInteraction3f = integrator.first_hit(scene, ray, goes_on, first & (self.count == number + 1))

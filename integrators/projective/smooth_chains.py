@@ -154,7 +154,7 @@ class Chains:
         link: UInt32,
         active: Bool,
         previous: Point3f | None = None,
-        mesh: UInt32 | None = None,
+        viewer: UInt32 | None = None,
     ) -> Ray3f:
         """The ray of a link, attached to the first ray and to the surfaces on the way.
 
@@ -164,13 +164,13 @@ class Chains:
             link: the number of the link.
             active: the lanes that matter.
             previous: where first rays start, attached.
-            mesh: the numbers of the meshes there that take rays along by which they see themselves, see `self_views`.
+            viewer: the numbers of the shapes there, if they take rays along: see `self_views`.
         """
         along = Bool(False)
-        if previous is not None and mesh is not None:
-            sees = active & (mesh != NONE)
+        if previous is not None and viewer is not None:
+            sees = active & (viewer != NONE)
             first = self.hit(dr.detach(ray), 0, sees)
-            along = sees & first.is_valid() & (first.shape_index == mesh)
+            along = sees & first.is_valid() & (first.shape_index == viewer)
             ray = following(ray, previous, along)
         for number in range(self.longest):
             here = active & (number < link)

@@ -1,4 +1,4 @@
-"""Meshes that see themselves: open ones with dents, which are seen from both sides and shine on themselves."""
+"""Shapes that see themselves: open meshes with dents, which shine on themselves, rooms, and tubes."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ import drjit as dr
 import numpy as np
 
 import djpt
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.jit.types import Float, Point3f
-from tests.silhouettes.cases import PRB, Case, ball, sensor, slide
+from tests.silhouettes.cases import PRB, Case, ball, sensor, slide, turn
 
 RINGS, AROUND = 5, 9
 GREY = {"type": "diffuse", "reflectance": 0.8}
@@ -46,8 +47,18 @@ def swell(params: Any, theta: Float) -> None:
     params["moving.vertex_positions"] = Float(params["moving.vertex_positions"]) * (1 + theta)
 
 
+def spin(params: Any, theta: Float) -> None:
+    """Turn a cube, and move it."""
+    p = dr.unravel(Point3f, Float(params["moving.vertex_positions"]))
+    place = djpt.Transform4f().translate([theta, 0.3 * theta, 0.2 * theta]).rotate([0, 1, 0], 15 * theta)
+    params["moving.vertex_positions"] = Float(dr.ravel(place.transform_point(p)))
+
+
 TWO_SIDED = {"type": "twosided", "nested": GREY}
 SHINES = {"emitter": {"type": "area", "radiance": 1.0}, "flip_normals": True}
+TUBE = {"type": "cylinder", "p0": [0, 0, -1], "p1": [0, 0, 1], "radius": 0.8, "bsdf": TWO_SIDED}
+NEAR = {"lamp": ball(center=[1.5, 0.8, 2.6], radius=0.4, emitter={"type": "area", "radiance": 20.0})}
+ASIDE = sensor((-1.0, -1.2, 3.8), fov=34)
 CASES: dict[str, Case] = {
     "a bowl with dents": Case(lambda: {"moving": bowl(TWO_SIDED), **SKY}, swell, step=0.02),
     "a bowl with dents, black inside": Case(lambda: {"moving": bowl(GREY), **SKY}, swell, step=0.02),
@@ -69,5 +80,20 @@ CASES: dict[str, Case] = {
     "dents that shine": Case(lambda: {"moving": bowl(GREY, **SHINES), "sensor": SKY["sensor"]}, bend, step=0.02),
     "dents that shine, and light each other": Case(
         lambda: {"moving": bowl(GREY, **SHINES), "sensor": SKY["sensor"]}, bend, PRB, depth=4, spp=512, step=0.02
+    ),
+    "a room that is a cube": Case(
+        lambda: {
+            "moving": {"type": "cube", "to_world": T().scale(2), "bsdf": TWO_SIDED},
+            "lamp": ball(center=[0.5, 0.8, 0.6], radius=0.3, emitter={"type": "area", "radiance": 10.0}),
+            "sensor": sensor((-1.4, -1.2, 1.5), fov=70),
+        },
+        spin,
+        PRB,
+        depth=4,
+        step=0.02,
+    ),
+    "a tube before a lamp": Case(lambda: {"moving": TUBE, **NEAR, "sensor": ASIDE}, turn("moving.to_world", 20)),
+    "a tube that lights itself": Case(
+        lambda: {"moving": TUBE, **NEAR, "sensor": ASIDE}, turn("moving.to_world", 20), PRB, depth=3
     ),
 }
