@@ -9,6 +9,7 @@ import drjit as dr
 from djpt.core.records import DiscontinuityFlags, Interaction3f
 from djpt.integrators.projective.detail import seen_through
 from djpt.integrators.projective.receivers import lit_receivers
+from djpt.integrators.projective.spread import spread
 from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
@@ -50,7 +51,7 @@ class BeamSides:
         """The derivative of the image by random points of the sides, attached, and their places on the film."""
         scene, sensor = self._scene, seen_through(sensor, sampler)
         with dr.suspend_grad():
-            ss, upright, sign = self._sample(sampler.next_2d())
+            ss, upright, sign = self._sample(spread(sampler))
             it = dr.zeros(Interaction3f)
             it.p = ss.p
             ds, arriving = self._light.sample_direction(it, Point2f(0), True)

@@ -8,6 +8,7 @@ import drjit as dr
 
 from djpt.integrators.projective.detail import detached
 from djpt.integrators.projective.splat import keep
+from djpt.integrators.projective.spread import spread
 from djpt.jit.types import Bool, Color3f, Float, Point2f, UInt32
 
 __all__ = ["edge_of_circle"]
@@ -27,7 +28,7 @@ def edge_of_circle(integrator: Any, scene: Any, sensor: Any, sampler: Any) -> tu
     """
     window = Point2f(sensor.film().crop_size())
     with dr.suspend_grad():
-        u, still = sampler.next_1d(), detached(sensor)
+        u, still = spread(sampler).x, detached(sensor)
         with dr.resume_grad():
             turn = Float(u)
             dr.enable_grad(turn)

@@ -14,6 +14,7 @@ import drjit as dr
 
 from djpt.distributions.distributions_1d import DiscreteDistribution
 from djpt.errors import RenderError
+from djpt.integrators.projective.spread import spread
 from djpt.jit.kernels import power_of_two
 from djpt.jit.types import Bool, Float, Point3f, UInt32, Vector3f, backend
 
@@ -62,7 +63,8 @@ class UniformDistr(BaseGuidingDistr):
     """The density 1."""
 
     def sample(self, sampler: Any) -> tuple[Vector3f, Float]:
-        return three(sampler), Float(1)
+        even = spread(sampler)
+        return Vector3f(even.x, even.y, sampler.next_1d()), Float(1)
 
 
 class GridDistr(BaseGuidingDistr):
@@ -112,7 +114,7 @@ class GridDistr(BaseGuidingDistr):
 
     def sample(self, sampler: Any) -> tuple[Vector3f, Float]:
         inside = three(sampler)
-        index, chance = self.pmf.sample_pmf(sampler.next_1d())
+        index, chance = self.pmf.sample_pmf(spread(sampler).x)
         return self._in_cell(index, inside), dr.select(chance > 0, dr.rcp(chance * self.num_cells), 0)
 
     def random_cell_sample(self, sampler: Any) -> Vector3f:
@@ -302,7 +304,7 @@ class OcSpaceDistr(BaseGuidingDistr):
         self.lower, self.upper = low, high
 
     def sample(self, sampler: Any) -> tuple[Vector3f, Float]:
-        index, chance = self.pmf.sample_pmf(sampler.next_1d())
+        index, chance = self.pmf.sample_pmf(spread(sampler).x)
         low, high = dr.gather(Point3f, self.lower, index), dr.gather(Point3f, self.upper, index)
         size = high - low
         inverse = dr.select(chance > 0, size.x * size.y * size.z * dr.rcp(chance), 0)

@@ -23,6 +23,7 @@ from djpt.integrators.projective.detail import seen_through
 from djpt.integrators.projective.self_views import MOST_FOLLOWED, self_viewer
 from djpt.integrators.projective.smooth_chains import MOST_CHAIN_LINKS, Chains, random_turns
 from djpt.integrators.projective.splat import keep
+from djpt.integrators.projective.spread import spread
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
 
 __all__ = ["path_edges"]
@@ -68,7 +69,7 @@ def path_edges(integrator: Any, scene: Any, sensor: Any, sampler: Any, meetings:
     """
     window, sensor = Point2f(sensor.film().crop_size()), seen_through(sensor, sampler)
     with dr.suspend_grad():
-        place = sampler.next_2d() * window
+        place = spread(sampler) * window
         shown, importance = sensor.sample_ray_differential(0, 0, place / window, Point2f(0))
         here, before, viewer, weight, depth, mirrored, active = walk(  # type: ignore[no-untyped-call]
             integrator, scene, sampler, shown, Color3f(importance)

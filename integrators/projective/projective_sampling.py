@@ -14,13 +14,13 @@ from djpt.integrators.projective.beams import BeamSides, has_sides
 from djpt.integrators.projective.circles import edge_of_circle
 from djpt.integrators.projective.detail import ProjectiveDetail
 from djpt.integrators.projective.film_edges import FilmEdges
-from djpt.integrators.projective.outlines import spread
 from djpt.integrators.projective.path_edges import path_edges
 from djpt.integrators.projective.reattach import delta_lights, has_mirrors
 from djpt.integrators.projective.receivers import followed, only_lamps_shine, outlined, shadowed_lamps
 from djpt.integrators.projective.self_views import Approach
 from djpt.integrators.projective.shadows import LampShadows, ShadowEdges
 from djpt.integrators.projective.splat import attached_splat, keep
+from djpt.integrators.projective.spread import spread
 from djpt.jit.frozen import recording
 from djpt.jit.types import Bool, Color3f, Float, Point2f, TensorXf, UInt32
 from djpt.rendering.gradients.meetings import meeting_pairs

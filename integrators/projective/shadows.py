@@ -12,8 +12,9 @@ import numpy as np
 
 from djpt.core.records import DirectionSample3f, EmitterFlags, Interaction3f, has_flag
 from djpt.integrators.projective.detail import FAR, seen_through
-from djpt.integrators.projective.outlines import Outlines, spread
+from djpt.integrators.projective.outlines import Outlines
 from djpt.integrators.projective.receivers import lit_receivers
+from djpt.integrators.projective.spread import spread
 from djpt.jit.types import Bool, Color3f, Point2f, Point3f, UInt32
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
