@@ -10,7 +10,7 @@ import numpy as np
 import djpt
 from djpt.core.transforms import ScalarTransform4f as T
 from djpt.jit.types import Float, Point3f
-from tests.silhouettes.cases import PRB, Case, ball, sensor, slide, turn
+from tests.silhouettes.cases import PRB, Case, ball, corners, sensor, slide, turn
 
 RINGS, AROUND = 5, 9
 GREY = {"type": "diffuse", "reflectance": 0.8}
@@ -42,18 +42,10 @@ def bend(params: Any, theta: Float) -> None:
     params["moving.vertex_positions"] = Float(dr.ravel(moved))
 
 
-def swell(params: Any, theta: Float) -> None:
-    """Scale a mesh about the origin."""
-    params["moving.vertex_positions"] = Float(params["moving.vertex_positions"]) * (1 + theta)
-
-
-def spin(params: Any, theta: Float) -> None:
-    """Turn a cube, and move it."""
-    p = dr.unravel(Point3f, Float(params["moving.vertex_positions"]))
-    place = djpt.Transform4f().translate([theta, 0.3 * theta, 0.2 * theta]).rotate([0, 1, 0], 15 * theta)
-    params["moving.vertex_positions"] = Float(dr.ravel(place.transform_point(p)))
-
-
+swell = corners(lambda theta: djpt.Transform4f().scale([1 + theta, 1 + theta, 1 + theta]))
+spin = corners(
+    lambda theta: djpt.Transform4f().translate([theta, 0.3 * theta, 0.2 * theta]).rotate([0, 1, 0], 15 * theta)
+)
 TWO_SIDED = {"type": "twosided", "nested": GREY}
 SHINES = {"emitter": {"type": "area", "radiance": 1.0}, "flip_normals": True}
 TUBE = {"type": "cylinder", "p0": [0, 0, -1], "p1": [0, 0, 1], "radius": 0.8, "bsdf": TWO_SIDED}
