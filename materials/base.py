@@ -82,6 +82,12 @@ class BSDF(Plugin):
         nested = (getattr(self, name, None) for name in self.children)
         return self.says("symmetric") and all(plugin.is_symmetric for plugin in nested if isinstance(plugin, BSDF))
 
+    @property
+    def needs_interior(self) -> bool:
+        """True if light that enters a shape is to be scattered in its interior, by this BSDF or one nested in it."""
+        nested = (getattr(self, name, None) for name in self.children)
+        return any(plugin.needs_interior for plugin in nested if isinstance(plugin, BSDF))
+
     def surrounded_by(self, index: Float) -> BSDF:
         """The BSDF of this surface in a medium other than that of its description.
 

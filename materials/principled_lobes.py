@@ -72,7 +72,7 @@ class PrincipledBase(SharedWorkBSDF):
 
     # ---- what the materials add ------------------------------------------------------------
 
-    def look_up(self, si: SurfaceInteraction3f, active: Bool | bool) -> Any:
+    def look_up(self, ctx: BSDFContext, si: SurfaceInteraction3f, active: Bool | bool) -> Any:
         """All parameters at `si`."""
         raise NotImplementedError
 
@@ -105,7 +105,7 @@ class PrincipledAtPoint:
     """A `PrincipledBase` at one point, seen from `wi`: the work that evaluation and sampling share."""
 
     def __init__(self, bsdf: PrincipledBase, ctx: BSDFContext, si: SurfaceInteraction3f, active: Bool | bool) -> None:
-        self.bsdf, self.ctx, self.wi, self.parameters = bsdf, ctx, si.wi, bsdf.look_up(si, active)
+        self.bsdf, self.ctx, self.wi, self.parameters = bsdf, ctx, si.wi, bsdf.look_up(ctx, si, active)
 
     def eval_pdf(self, wo: Vector3f) -> tuple[Color3f, Float]:
         wi, bsdf = self.wi, self.bsdf

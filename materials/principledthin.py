@@ -107,7 +107,7 @@ class PrincipledThin(PrincipledBase):
             lobes.append(BSDFFlags.GlossyTransmission | skewed)
         return tuple(int(lobe | both) for lobe in (*lobes, BSDFFlags.GlossyReflection | skewed))
 
-    def look_up(self, si: SurfaceInteraction3f, active: Bool | bool) -> At:
+    def look_up(self, ctx: BSDFContext, si: SurfaceInteraction3f, active: Bool | bool) -> At:
         scalars = self._scalars(si, active)
         roughness, eta = self.roughness.eval_1(si, active), self.eta.eval_1(si, active)
         outside = through = None

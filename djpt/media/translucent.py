@@ -21,7 +21,15 @@ from djpt.description.properties import Properties
 from djpt.errors import SceneError, near_miss
 from djpt.jit.types import Color3f
 
-__all__ = ["MATERIALS", "albedo_of_color", "reflectance_behind", "subsurface", "translucent"]
+__all__ = [
+    "MATERIALS",
+    "albedo_of_color",
+    "color_behind",
+    "reflectance_behind",
+    "reflectance_of_albedo",
+    "subsurface",
+    "translucent",
+]
 
 RGB = tuple[float, float, float]
 
@@ -47,6 +55,9 @@ whose large bodies have the colour (0.90, 0.82, 0.66) behind a boundary of the i
 path of 0.5 mm, about as in marble. Scattering and absorption follow by `reflectance_behind` and `albedo_of_color`.
 """
 
+TEXTURED = 0.8
+"""The colour of the medium under a textured surface, unless it is given: light, since surfaces only filter."""
+
 
 def albedo_of_color(color: Any, g: float = 0.0) -> NDArray[np.float64]:
     """The albedo of matter that fills a half space and looks like a diffuse surface of a colour.
@@ -69,6 +80,15 @@ def albedo_of_color(color: Any, g: float = 0.0) -> NDArray[np.float64]:
     return np.asarray((1 - s * s) / (1 - g * s * s))
 
 
+def reflectance_of_albedo(albedo: Any) -> NDArray[np.float64]:
+    """The inverse of `albedo_of_color` for matter that scatters evenly: (1 - s) (1 - 0.139 s) / (1 + 1.17 s).
+
+    s = sqrt(1 - albedo); H. C. van de Hulst, "Multiple Light Scattering", 1980.
+    """
+    s = np.sqrt(1 - np.asarray(albedo, np.float64))
+    return np.asarray((1 - s) * (1 - 0.139 * s) / (1 + 1.17 * s))
+
+
 def reflectance_behind(color: Any, eta: float) -> NDArray[np.float64]:
     """The reflectance of matter that has a colour behind a boundary with the index `eta` >= 1.
 
@@ -88,6 +108,13 @@ def reflectance_behind(color: Any, eta: float) -> NDArray[np.float64]:
     return np.asarray(c / (1 - inside + inside * c))
 
 
+def color_behind(reflectance: Any, eta: float) -> NDArray[np.float64]:
+    """The colour of matter behind a boundary with the index `eta` >= 1: the inverse of `reflectance_behind`."""
+    r = np.asarray(reflectance, np.float64)
+    inside = 1 - (1 - boundary_reflectance(eta)) / eta**2
+    return np.asarray((1 - inside) * r / (1 - inside * r))
+
+
 def boundary_reflectance(eta: float) -> float:
     """The fraction of light from all sides, outside, that a smooth boundary with the index `eta` >= 1 reflects.
 
@@ -103,11 +130,13 @@ def boundary_reflectance(eta: float) -> float:
 
 
 def subsurface(
-    base_color: Any = 0.5,
+    base_color: Any = None,
     radius: Any = 1.0,
     *,
     material: str | None = None,
     scale: float = 1.0,
+    weight: Any = 1.0,
+    interior_color: Any = None,
     eta: float = 1.4,
     roughness: float = 0.3,
     anisotropy: float = 0.0,
@@ -116,9 +145,9 @@ def subsurface(
     """The `bsdf` and the `interior` of a closed shape that light enters, and leaves after a random walk.
 
     ``{"type": "sphere", **djpt.subsurface([0.8, 0.5, 0.3], [1.0, 0.3, 0.1], scale=0.05)}``: what Blender's principled
-    BSDF calls subsurface with the weight 1. No BSDF can do it alone, since light comes out elsewhere; here walks are
+    BSDF calls subsurface. No BSDF can do it alone, since light comes out elsewhere; here walks are
     paths through a medium, which integrators of media follow, through thin parts, round holes and with derivatives. The
-    boundary is a `principled` BSDF with `spec_trans` 1 and a white `base_color`, the medium a `homogeneous` one.
+    boundary is a `principled` BSDF with the parameter `subsurface`, the medium a `homogeneous` one.
 
     With the albedo a and the radius r of a medium that scatters evenly, one whose phase function `hg` has the mean
     cosine g = `anisotropy` looks the same if
@@ -129,46 +158,66 @@ def subsurface(
     Tracing", 2016, has such walks with another fit of the albedo; D. R. Wyman et al. 1989 for g, see `similar`.
 
     Args:
-        base_color: What a large body looks like beside its highlights, a number or three: see `reflectance_behind`.
+        base_color: What a large body looks like beside its highlights, a number or three (see `reflectance_behind`), or
+            the description of a texture; by default that of the material, or 0.5.
         radius: The mean free path, a number or one for each channel, > 0: the reduced one with an `anisotropy`.
-        material: One of `MATERIALS` in place of both.
+        material: One of `MATERIALS` in place of a radius, and of the colour of the medium.
         scale: The length that belongs to a radius of 1; for a `material`, the length of a millimetre in the scene. Rays
             that enter start 0.00009 (1 + c) below the surface, c being the largest coordinate, which should be a
             fiftieth of the free path at most: else bodies are too dark. Choose millimetres or centimetres as units.
+        weight: The fraction of the light that enters, a number or the description of a texture in [0, 1]; the rest is
+            scattered by the diffuse surface that `principled` has otherwise.
+        interior_color: The colour of the medium, a number or three; by default `base_color`, with a texture 0.8. Light
+            is filtered by sqrt(base_color / interior_color) on its way in and on its way out, so that each part of the
+            surface that is large has its own colour.
         eta: The index of refraction, at least 1.
         roughness: That of `principled`. Rough boundaries lose light each time that it meets them: a body of the colour
             0.85 has 0.84 at 0.3, and 0.58 at 0.6.
         anisotropy: The mean cosine of the phase function, in (-1, 1). It changes the first steps below the surface,
             and walks take 1 / (1 - g) as many.
-        lobes: Other parameters of `principled`, such as `sheen` and `clearcoat`.
+        lobes: Other parameters of `principled`, such as `sheen`, `clearcoat` and `metallic`.
 
     Raises:
-        SceneError: `lobes` names a parameter that is fixed; or with an `anisotropy`, a value is out of range or the
-            material unknown. Other mistakes are found when the scene is loaded.
+        SceneError: `lobes` names a parameter that is fixed, or the material is unknown; or with an `anisotropy`, a
+            value is out of range. Other mistakes are found when the scene is loaded.
     """
-    fixed = ("spec_trans", "metallic", "flatness")
-    for name in lobes:
-        if name == "specular":
-            raise SceneError("subsurface: give 'eta' in place of 'specular': 2 / (1 - sqrt(0.08 specular)) - 1")
-        if name in fixed:
-            raise SceneError(
-                f"subsurface: '{name}' is fixed: all light enters the body; blend BSDFs for other materials"
-            )
-    bsdf = {"type": "principled", "base_color": 1.0, "spec_trans": 1.0, "eta": eta, "roughness": roughness, **lobes}
+    if "specular" in lobes:
+        raise SceneError("subsurface: give 'eta' in place of 'specular': 2 / (1 - sqrt(0.08 specular)) - 1")
+    if "spec_trans" in lobes:
+        raise SceneError("subsurface: 'spec_trans' is fixed: what is inside is one medium; blend BSDFs for others")
+    require(material is None or material in MATERIALS, "material", material, f"be one of {', '.join(MATERIALS)}")
+    textured = isinstance(base_color, Mapping)
+    if material is not None:
+        require(interior_color is None, "interior_color", interior_color, "be left out: the material has a colour")
+        inside: Any = color_behind(reflectance_of_albedo(of_material(material)[1]), eta)
+    elif interior_color is not None:
+        inside = interior_color
+    else:
+        inside = TEXTURED if textured else 0.5 if base_color is None else base_color
+    outside = inside if base_color is None else base_color
+    bsdf = {
+        "type": "principled",
+        "base_color": outside if textured else number_or_rgb(outside),
+        "subsurface": weight,
+        "subsurface_color": number_or_rgb(inside),
+        "eta": eta,
+        "roughness": roughness,
+        **lobes,
+    }
     interior: dict[str, Any] = {"type": "homogeneous", "scale": 1 / scale}
     if anisotropy:
         require(-1 < anisotropy < 1, "anisotropy", anisotropy, "lie in (-1, 1)")
         require(np.greater(radius, 0).all(), "radius", radius, "be positive")
-        require(np.equal(base_color, np.clip(base_color, 0, 1)).all(), "base_color", base_color, "lie in [0, 1]")
-        require(material is None or material in MATERIALS, "material", material, f"be one of {', '.join(MATERIALS)}")
-        even = of_color(base_color, radius, eta) if material is None else of_material(material)
+        name = "base_color" if interior_color is None else "interior_color"
+        require(np.equal(inside, np.clip(inside, 0, 1)).all(), name, inside, "lie in [0, 1]")
+        even = of_color(inside, radius, eta) if material is None else of_material(material)
         sigma_t, albedo = forward(*even, anisotropy)
         interior |= {"sigma_t": number_or_rgb(sigma_t), "albedo": number_or_rgb(albedo)}
         interior["phase"] = {"type": "hg", "g": anisotropy}
     elif material is not None:
         interior["material"] = material
     else:
-        interior |= {"color": number_or_rgb(base_color), "radius": number_or_rgb(radius), "boundary_eta": eta}
+        interior |= {"color": number_or_rgb(inside), "radius": number_or_rgb(radius), "boundary_eta": eta}
     return {"bsdf": bsdf, "interior": interior}
 
 

@@ -64,6 +64,13 @@ class Hit:
     """The scene-wide number of the face."""
 
 
+MISSING_INTERIOR = (
+    "has 'subsurface', so the shape needs an 'interior', a medium in which light is scattered; "
+    "djpt.subsurface(base_color, radius, weight=0.5) gives both"
+)
+"""The message about a shape that light enters, and whose BSDF expects a medium inside."""
+
+
 class Shape(ShapeQuestions):
     """A surface that rays can hit; may carry a BSDF and an area light.
 
@@ -114,6 +121,8 @@ class Shape(ShapeQuestions):
         self._sensor = props.child("sensor")
         self._interior = props.plugin("interior", "medium", None)
         self._exterior = props.plugin("exterior", "medium", None)
+        if self._bsdf is not None and self._bsdf.needs_interior and self._interior is None:
+            raise props.error("bsdf", MISSING_INTERIOR)
         if "priority" in props:
             self.priority = props.float("priority")
         self.take_textures(props)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import djpt
 from djpt import ScalarTransform4f as T
 from places import IMAGES
 
-__all__ = ["candles", "drink", "milk", "smoke", "subsurface", "sunbeams"]
+__all__ = ["candles", "drink", "milk", "smoke", "subsurface", "subsurface_weights", "sunbeams"]
 
 NULL = {"type": "null"}
 
@@ -43,7 +44,26 @@ def candles() -> None:
 
 def subsurface() -> None:
     """Milk, marble, skin, and what has the colour of wax."""
-    draw("subsurface", subsurface_scene(), 2048)
+    bodies = [
+        djpt.subsurface(material="whole_milk", scale=0.2, roughness=0.1),
+        djpt.subsurface(material="marble", scale=0.2, roughness=0.15),
+        djpt.subsurface(material="skin_1", scale=0.2),
+        djpt.subsurface([0.9, 0.62, 0.3], [1.0, 0.5, 0.25], scale=0.2),
+    ]
+    draw("subsurface", subsurface_scene(bodies), 2048)
+
+
+def subsurface_weights() -> None:
+    """The weights 0, 0.5 and 1 of one body, and one with a textured colour."""
+    bodies = [djpt.subsurface([0.8, 0.5, 0.3], [1.0, 0.5, 0.25], scale=0.2, weight=weight) for weight in (0, 0.5, 1)]
+    stripes = {
+        "type": "checkerboard",
+        "color0": colour(0.85, 0.6, 0.5),
+        "color1": colour(0.5, 0.25, 0.2),
+        "to_uv": T().scale([5, 3, 1]),
+    }
+    bodies.append(djpt.subsurface(stripes, [1.0, 0.5, 0.25], scale=0.2, interior_color=[0.7, 0.45, 0.35]))
+    draw("subsurface_weights", subsurface_scene(bodies), 4096)
 
 
 def draw(name: str, scene: dict[str, Any], spp: int) -> None:
@@ -324,14 +344,8 @@ def candles_scene() -> dict[str, Any]:
 # ---------------------------------------------------------------- subsurface
 
 
-def subsurface_scene() -> dict[str, Any]:
-    """Four balls, 1 cm wide, with a lamp beside and behind them; the scene's unit is 5 mm."""
-    bodies = [
-        djpt.subsurface(material="whole_milk", scale=0.2, roughness=0.1),
-        djpt.subsurface(material="marble", scale=0.2, roughness=0.15),
-        djpt.subsurface(material="skin_1", scale=0.2),
-        djpt.subsurface([0.9, 0.62, 0.3], [1.0, 0.5, 0.25], scale=0.2),
-    ]
+def subsurface_scene(bodies: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Balls, 1 cm wide, with a lamp beside and behind them; the scene's unit is 5 mm."""
     scene = seen([0, 2.6, 12.0], [0, 0.75, 0], 40, 256)
     scene["sensor"]["film"].update(width=448, height=140)
     return {

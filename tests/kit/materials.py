@@ -178,6 +178,14 @@ SETS: dict[str, Callable[[], dict[str, Description]]] = {
         "sheen": {"sheen": 1.0, "sheen_tint": 0.6, "base_color": TEAL, "roughness": 0.9},
         "flat": {"flatness": 0.7, "roughness": 0.8},
         "glass": {"spec_trans": 1.0, "eta": 1.5, "roughness": 0.4},
+        "subsurface": {
+            "subsurface": bitmap(texels(4, 4, 1, low=0.2)),
+            "base_color": CLAY,
+            "subsurface_color": 0.6,
+            "metallic": 0.2,
+            "roughness": 0.4,
+            "eta": 1.4,
+        },
         "bubble": {"spec_trans": 0.8, "eta": 0.7, "roughness": 0.6, "metallic": 0.1, "spec_tint": 0.5},
         "textured": {
             "base_color": bitmap(texels(6, 8, 3)),

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
+import drjit as dr
 import numpy as np
 import pytest
 
 import djpt
 from djpt.errors import SceneError
-from djpt.media.translucent import albedo_of_color, boundary_reflectance, reflectance_behind
+from djpt.media.translucent import (
+    albedo_of_color,
+    boundary_reflectance,
+    color_behind,
+    reflectance_behind,
+    reflectance_of_albedo,
+)
 from tests.kit.convergence import images
 from tests.kit.media_scenes import colour, fog, lit_ball
 
@@ -161,7 +169,7 @@ def test_body_has_the_color_behind_a_boundary(eta: float) -> None:
 def test_subsurface() -> None:
     """A body is described by a colour and a radius, or by a material; what is fixed can't be given."""
     body = djpt.subsurface([0.8, 0.5, 0.3], [1.0, 0.3, 0.1], scale=0.05, clearcoat=0.5)
-    assert body["bsdf"]["clearcoat"] == 0.5 and body["bsdf"]["spec_trans"] == 1
+    assert body["bsdf"]["clearcoat"] == 0.5 and body["bsdf"]["subsurface"] == 1
     medium = djpt.load_dict(body["interior"])
     np.testing.assert_allclose(np.array(medium.sigma_t.eval(None)).ravel(), [1, 1 / 0.3, 10], rtol=1e-5)
     assert medium.scale[0] == pytest.approx(20)
@@ -179,8 +187,10 @@ def test_subsurface() -> None:
         ({"specular": 0.5}, "give 'eta' in place of 'specular'"),
         ({"anisotropy": 1.0}, r"'anisotropy' must lie in \(-1, 1\), found 1.0"),
         ({"anisotropy": 0.5, "radius": [1.0, 0.0, 1.0]}, "'radius' must be positive"),
+        ({"anisotropy": 0.5, "interior_color": 1.5}, r"'interior_color' must lie in \[0, 1\], found 1.5"),
+        ({"material": "wax", "interior_color": 0.5}, "'interior_color' must be left out: the material has a colour"),
         ({"anisotropy": 0.5, "base_color": 1.5}, r"'base_color' must lie in \[0, 1\], found 1.5"),
-        ({"anisotropy": 0.5, "material": "milk"}, "'material' must be one of .*whole_milk"),
+        ({"material": "milk"}, "'material' must be one of .*whole_milk"),
     ],
     ids=str,
 )
@@ -234,3 +244,144 @@ def test_subsurface_is_white_in_a_furnace() -> None:
     scene[name] |= djpt.subsurface(1.0, 0.2, roughness=0.05)
     image = np.stack(images(scene, {"type": "volpath", "max_depth": 1000, "rr_depth": 1000}, 64))
     assert image[:, 6:10, 6:10].mean() == pytest.approx(1, abs=0.03)
+
+
+def test_materials_have_their_base_color() -> None:
+    """The diffuse part of a boundary has the colour of the body, so the weight doesn't change it."""
+    body = djpt.subsurface(material="wax", eta=1.44)["bsdf"]
+    assert body["base_color"] == body["subsurface_color"]
+    np.testing.assert_allclose(body["base_color"]["value"], [0.90, 0.82, 0.66], atol=0.01)
+    np.testing.assert_allclose(reflectance_of_albedo(albedo_of_color([0, 0.3, 1])), [0, 0.3, 1], atol=2e-3)
+    np.testing.assert_allclose(color_behind(reflectance_behind([0, 0.3, 1], 1.4), 1.4), [0, 0.3, 1], atol=1e-12)
+
+
+def ball_of(body: dict[str, Any], integrator: str = "volpath", **nodes: Any) -> Any:
+    """A ball under a white sky, or what `nodes` has in its place."""
+    scene = lit_ball(None, integrator=integrator, max_depth=64, rr_depth=500, size=8, **nodes)
+    scene["ball"] |= body
+    return scene
+
+
+def patches(scene: dict[str, Any], spp: int, seeds: int = 4) -> tuple[np.ndarray, np.ndarray]:
+    """The means of the quarters of an image, and their standard errors: (2, 2, 3)."""
+    loaded = djpt.load_dict(scene)
+    found = np.stack([np.array(djpt.render(loaded, spp=spp, seed=seed), np.float64) for seed in range(seeds)])
+    means = found.reshape(seeds, 2, 4, 2, 4, 3).mean((2, 4))
+    return means.mean(0), means.std(0, ddof=1) / np.sqrt(seeds)
+
+
+def checks(first: Any, second: Any) -> dict[str, Any]:
+    """A texture of squares."""
+    place = djpt.ScalarTransform4f().scale([3, 3, 1])
+    return {"type": "checkerboard", "color0": first, "color1": second, "to_uv": place}
+
+
+def side_lamp() -> dict[str, Any]:
+    """A square lamp above and before the ball."""
+    place = djpt.ScalarTransform4f().look_at(origin=[0, 2.5, 2.5], target=[0, 0, 0], up=[1, 0, 0])
+    return {"type": "rectangle", "to_world": place, "emitter": {"type": "area", "radiance": 1.0}}
+
+
+def test_weight_blends_images() -> None:
+    """A convex body that nothing else reflects light to: its image is the mixture of those of the weights 0 and 1."""
+    body = partial(djpt.subsurface, [0.8, 0.5, 0.2], 1.0, interior_color=[0.7, 0.6, 0.3], metallic=0.3, clearcoat=0.5)
+    (none, e_0), (entire, e_1), (some, e) = (
+        patches(ball_of(body(weight=w), sky=side_lamp()), 1024, 6) for w in (0.0, 1.0, 0.3)
+    )
+    error = np.sqrt(e**2 + (0.7 * e_0) ** 2 + (0.3 * e_1) ** 2)
+    assert np.abs(some - 0.7 * none - 0.3 * entire).max() < 5 * error.max()
+    assert np.abs(entire - none).max() > 25 * error.max()
+
+
+def test_textured_weight_is_white_in_a_furnace() -> None:
+    """Light leaves everywhere alike: a white body is as bright as those of the weights 0 and 1, whatever the texture.
+
+    Behind a boundary of the index 1, which reflects nothing; the diffuse lobe alone isn't exactly white.
+    """
+    white = partial(djpt.subsurface, 1.0, 0.1, eta=1.0, roughness=0.05)
+    (mixed, e), (none, _), (entire, _) = (patches(ball_of(white(weight=w)), 256) for w in (checks(0.0, 1.0), 0.0, 1.0))
+    low, high = np.minimum(none, entire), np.maximum(none, entire)
+    assert (mixed > low - 4 * e - 0.004).all() and (mixed < high + 4 * e + 0.004).all()
+
+
+@pytest.mark.parametrize("integrator", ["volpathmis", "bdpt"])
+def test_textured_weight_is_the_same_from_both_ends(integrator: str) -> None:
+    """Light paths have the adjoint of a weight that counts where paths of the camera enter."""
+    colors = checks({"type": "rgb", "value": [0.8, 0.5, 0.2]}, 0.3)
+    body = djpt.subsurface(colors, 0.3, weight=checks(0.9, 0.1), metallic=0.2, eta=1.3, roughness=0.3)
+    lamp = side_lamp()
+    expected, e_0 = patches(ball_of(body, sky=lamp), 4096, 6)
+    scene = ball_of(body, sky=lamp)
+    scene["integrator"] = {"type": integrator, "max_depth": 64}
+    found, e_1 = patches(scene, 4096, 6)
+    assert np.abs(found - expected).max() < 5 * np.hypot(e_0, e_1).max() < 0.05 * expected.max()
+
+
+def wall(color: Any, half: bool) -> dict[str, Any]:
+    """A thick slab under a white sky, and its colour: the texture of squares has its right half in the image."""
+    scene = lit_ball(None, max_depth=1000, rr_depth=200, size=8)
+    scene["ball"] = {
+        "type": "cube",
+        "to_world": djpt.ScalarTransform4f().scale([2, 2, 0.5]),
+        **djpt.subsurface(color, 0.02, interior_color=0.6, weight=0.7, eta=1.3, roughness=0.2),
+    }
+    x = 1 if half else -1
+    place = djpt.ScalarTransform4f().look_at(origin=[x, 0, 4], target=[x, 0, 0], up=[0, 1, 0])
+    scene["sensor"] |= {"to_world": place, "fov": 10}
+    return scene
+
+
+@pytest.mark.parametrize("half", [False, True])
+def test_textured_base_color_is_that_of_each_region(half: bool) -> None:
+    """Far from the border of two colours, in free paths, each region looks like a body of one colour."""
+    colors = [{"type": "rgb", "value": [0.8, 0.5, 0.2]}, {"type": "rgb", "value": [0.2, 0.3, 0.6]}]
+    place = djpt.ScalarTransform4f().scale([0.5, 1, 1])
+    both = {"type": "checkerboard", "color0": colors[0], "color1": colors[1], "to_uv": place}
+    (found, e_0), (expected, e_1) = (patches(wall(c, half), 1024) for c in (both, colors[half]))
+    other, _ = patches(wall(colors[not half], half), 64)
+    assert np.abs(found - expected).max() < 5 * np.hypot(e_0, e_1).max() < 0.03
+    assert np.abs(expected - other).max() > 0.2
+
+
+def test_textured_base_color_is_that_of_its_own_medium() -> None:
+    """The filter of a boundary gives a large body the colour that a medium would give it."""
+    light = [
+        light_of_ball(djpt.subsurface([0.6, 0.4, 0.2], 0.02, eta=1.0, roughness=0.05, interior_color=c), 16)
+        for c in (None, 0.8)
+    ]
+    np.testing.assert_allclose(light[1], light[0], atol=0.015)
+
+
+@pytest.mark.parametrize("name", ["base_color", "subsurface", "subsurface_color"])
+def test_derivatives_of_subsurface_are_differences(name: str) -> None:
+    """Path replay in reverse mode, by the colours and the weight of a boundary."""
+    body = djpt.subsurface([0.8, 0.5, 0.2], 0.2, weight=0.4, interior_color=[0.7, 0.6, 0.3], eta=1.3)
+    scene = djpt.load_dict(ball_of(body))
+    params, key = djpt.traverse(scene), f"ball.bsdf.{name}.value"
+    value, h, gradients = params[key], 0.03, []
+    for seed in range(8):
+        dr.enable_grad(params[key])
+        params.update()
+        dr.backward(dr.mean(djpt.render(scene, params=params, spp=2048, seed=seed + 1000)))
+        gradients.append(float(np.array(dr.grad(params[key])).sum()))
+        dr.disable_grad(params[key])
+        params.update()
+
+    def mean(offset: float, seed: int) -> float:
+        params[key] = value + offset
+        params.update()
+        return float(np.array(djpt.render(scene, spp=8192, seed=seed), np.float64).mean())
+
+    differences = [(mean(h, seed) - mean(-h, seed)) / (2 * h) for seed in range(4)]
+    error = np.hypot(np.std(gradients, ddof=1) / np.sqrt(8), np.std(differences, ddof=1) / np.sqrt(4))
+    expected = np.mean(differences)
+    assert abs(np.mean(gradients) - expected) < 4 * error + 0.01 * abs(expected)
+    assert error < 0.1 * abs(expected)
+
+
+def test_missing_interior_is_explained() -> None:
+    bsdf = {"type": "principled", "subsurface": 0.5}
+    for surface in (bsdf, {"type": "mask", "opacity": 0.5, "nested": bsdf}):
+        with pytest.raises(SceneError, match=r"'bsdf' has 'subsurface'.* needs an 'interior'.*djpt\.subsurface"):
+            djpt.load_dict({"type": "sphere", "bsdf": surface})
+    djpt.load_dict({"type": "sphere", "bsdf": bsdf, "interior": {"type": "homogeneous"}})
