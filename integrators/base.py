@@ -97,6 +97,10 @@ class Integrator(Plugin):
     follows_silhouettes: ClassVar[bool] = False
     """True if derivatives by the place of shapes know what appears and disappears at their outlines."""
 
+    follows_camera: ClassVar[bool] = False
+    """True if derivatives by the place of a camera are known, also through media: see
+    `djpt.rendering.gradients.camera_in_media`."""
+
     unproven_gradients: bool = False
     """True if derivatives that are known to be wrong are computed all the same: see
     `djpt.rendering.gradients.unproven`."""

@@ -65,6 +65,7 @@ class VolumetricPath(UnidirectionalPath):
 
     schedules: tuple[str, ...] = ("flat", "media_machine", "wave")
     follows_media = True
+    follows_camera = True
     spectral_mis = False
     """True if each flight draws a channel, and has the density of all together: see `djpt.integrators.volpathmis`."""
 

@@ -65,6 +65,7 @@ class CachedVolumetricPath(VolumetricPathMIS, LearningIntegrator):
 
     pure = True
     schedules: tuple[str, ...] = ("learning",)
+    follows_camera = False
     in_any_frame = True
 
     cells: LightCells

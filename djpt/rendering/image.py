@@ -7,9 +7,10 @@ from typing import Any
 import drjit as dr
 
 from djpt.errors import RenderError
+from djpt.integrators.base import Integrator
 from djpt.jit.kernels import begin_trace
 from djpt.jit.types import Float, TensorXf
-from djpt.rendering.gradients.leaves import attached_parameters, prepare_tables, unused_values
+from djpt.rendering.gradients.leaves import Parameter, attached_parameters, prepare_tables, unused_values
 from djpt.rendering.gradients.unproven import require_proven
 from djpt.rendering.known_images import known_or
 from djpt.rendering.schedules.base import Schedule
@@ -37,21 +38,22 @@ __all__ = [
 
 def film_image(scene: Scene, settings: RenderSettings) -> TensorXf:
     """The image of an integrator that djpt runs by a schedule; the film keeps it, too."""
-    require_still(scene, settings.sensor)
+    require_still(scene, settings.sensor, settings.integrator)
     job, names = make_job(scene, settings), channel_names(scene, settings.sensor, settings.integrator)
     how = choose(settings.schedule, job)
     parameters = attached_parameters(job.scene)
-    check_memory(job, attached=bool(parameters))
+    motion = motion_of_camera(settings)
+    check_memory(job, attached=bool(parameters or motion))
     if not job.channel_names():
         image = centres(job)
         job.film.keep(image, names)
         return image
     unused = unused_values(job.scene, parameters)
-    if parameters or unused:
-        require_proven(scene, job.integrator)
+    if parameters or motion or unused:
+        require_proven(scene, job.integrator, settings.sensor)
         from djpt.rendering.gradients.choice import differentiable
 
-        image = differentiable(job, how, settings, parameters, unused)
+        image = differentiable(job, how, scene, settings, parameters, motion, unused)
     else:
         image = known_or(settings, lambda: primal(job, how))
     if job.integrator.unfiltered_names():
@@ -66,21 +68,22 @@ def image_derivative(scene: Scene, settings: RenderSettings, grad: TensorXf | No
     Gradients of the image, `grad`, are propagated to the scene's parameters; if it is None, gradients of these are
     propagated to the image, whose gradient (H, W, C) is returned.
     """
-    from djpt.rendering.gradients.choice import derivative_of
+    from djpt.rendering.gradients.choice import derivative_of, with_motion
     from djpt.rendering.gradients.derivatives import attached_image, propagated
 
     begin_trace()
-    require_still(scene, settings.sensor)
+    require_still(scene, settings.sensor, settings.integrator)
     job = make_job(scene, settings)
     width, height = job.film.crop_size()
     shape = (height, width, job.channel_count())
-    parameters = attached_parameters(job.scene)
+    parameters, motion = attached_parameters(job.scene), motion_of_camera(settings)
     check_memory(job, attached=True)
-    if not parameters:
+    if not parameters and not motion:
         return dr.zeros(TensorXf, shape)
-    require_proven(scene, settings.integrator)
-    derivative = derivative_of(job, choose(settings.schedule, job), parameters)
-    return propagated(attached_image(parameters, [], lambda: dr.zeros(TensorXf, shape), derivative), grad)
+    require_proven(scene, settings.integrator, settings.sensor)
+    derivative = with_motion(derivative_of(job, choose(settings.schedule, job), parameters), scene, settings, motion)
+    every = [*parameters, *motion]
+    return propagated(attached_image(every, [], lambda: dr.zeros(TensorXf, shape), derivative), grad)
 
 
 def primal(job: Job, schedule: Schedule) -> TensorXf:
@@ -184,7 +187,12 @@ def job_of(sampler: Sampler) -> type[Job]:
     return WavefrontJob
 
 
-def require_still(scene: Scene, sensor: Any = 0) -> None:
+def motion_of_camera(settings: RenderSettings) -> list[Parameter]:
+    """The parameters that place the camera and have gradients."""
+    return [Parameter(owner, name) for owner in settings.sensor.members() for name in owner.attached_names()]
+
+
+def require_still(scene: Scene, sensor: Any = 0, integrator: Integrator | None = None) -> None:
     """Raise `RenderError` if what places a shape or the sensor has gradients, which few integrators can follow."""
     require_scene(scene)
     camera = find_sensor(scene, sensor) if scene.sensors() or sensor != 0 else None
@@ -198,7 +206,8 @@ def require_still(scene: Scene, sensor: Any = 0) -> None:
             f"'{camera.id()}' has a shutter whose times have gradients: light that changes in time has no derivatives "
             "by it, only what moves has"
         )
-    if camera is not None and (names := camera.attached_names()):
+    follows_camera = integrator is not None and integrator.follows_camera
+    if camera is not None and not follows_camera and (names := camera.attached_names()):
         name = names[0].replace("attached_matrix", "to_world").lstrip("_")
         raise RenderError(
             f"'{camera.id()}' moves with gradients with respect to '{name}': render with the integrator {able}"

@@ -232,6 +232,11 @@ class Media:
         pointer: PhaseFunctionPtr = PhaseFunctionPtr.into(Family(self._phases, self.lookup), number)
         return pointer
 
+    def are_tracked(self, medium: UInt32) -> Bool:
+        """True where distances in a medium are tracked."""
+        tracked = Members([i for i, m in enumerate(self.plugins) if m.is_tracked], self.vacuum)
+        return tracked.contain(self.filling(medium))
+
     def sample_emitters(self, medium: UInt32) -> Bool:
         """True where emitters are to be sampled from points in a medium."""
         sampling = Members([i for i, m in enumerate(self.plugins) if m.use_emitter_sampling()], self.vacuum)

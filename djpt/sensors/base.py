@@ -57,6 +57,8 @@ class Sensor(SampledRays, Endpoint):
     """Whether rays have neighbours on the film, to compute footprints from."""
     motions: ClassVar[tuple[str, ...]] = ()
     """The attributes that place its rays and may have gradients; `attached_matrix` is that of `to_world`."""
+    density_moves: ClassVar[bool] = False
+    """Whether the importance of `sample_wi` is attached where its rays are: see `attached`."""
     can_move: ClassVar[bool] = True
     """Whether its `to_world` may be animated."""
     canvas: Film | None = None

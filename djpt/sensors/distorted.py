@@ -61,6 +61,7 @@ class DistortedPerspective(Perspective):
         ),
     }
     statics = ("has_image_circle",)
+    density_moves = False
     lens: ClassVar[tuple[str, ...]] = ("pixel_aspect", *COEFFICIENTS)
     motions = (*Perspective.motions, *lens)
 

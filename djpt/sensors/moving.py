@@ -94,14 +94,16 @@ def central_rays(camera: Any, values: Mapping[str, Any]) -> dict[str, Any]:
     cx, cy, sx, sy = (float(v) * half for v in (*corner, *step))
     cx, cy = cx + moved[0] * half, cy + moved[1] * half
     to_x, to_y, to_z = dual(x, y, z)
+    corner, across, down = cx * x + cy * y + z, sx * x, sy * y
     return {
         "origin": origin,
-        "corner": cx * x + cy * y + z,
-        "across": sx * x,
-        "down": sy * y,
+        "corner": corner,
+        "across": across,
+        "down": down,
         "axis": to_z,
         "to_column": to_x / sx,
         "to_row": to_y / sy,
+        "inv_area": dr.rcp(dr.abs(dr.dot(dr.cross(across, down), corner))),
     }
 
 
@@ -135,4 +137,5 @@ def parallel_rays(camera: Any, values: Mapping[str, Any]) -> dict[str, Any]:
         "direction": direction,
         "to_column": to_column,
         "to_row": to_row,
+        "inv_area": dr.rcp(dr.abs(dr.dot(dr.cross(across, down), direction))),
     }

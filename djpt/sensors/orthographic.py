@@ -44,6 +44,7 @@ class Orthographic(ProjectiveCamera):
         ParamFlags.NonDifferentiable,
     )
     can_be_reached = True
+    density_moves = True
     motions = ("attached_matrix",)
 
     def __init__(self, props: Properties) -> None:

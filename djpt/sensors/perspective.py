@@ -43,6 +43,7 @@ class Perspective(Central):
 
     in_any_frame = True
     is_pinhole = True
+    density_moves = True
     motions: ClassVar[tuple[str, ...]] = ("attached_matrix", "x_fov", *OFFSETS)
 
     def __new__(cls, props: Properties | None = None) -> Perspective:

@@ -57,6 +57,7 @@ class ThinLens(Central):
         **dict.fromkeys(("lens_x", "lens_y", "inv_focus"), ParamFlags.NonDifferentiable),
     }
     uses_aperture = True
+    density_moves = True
     motions: ClassVar[tuple[str, ...]] = MOTIONS
 
     def __new__(cls, props: Properties | None = None) -> ThinLens:

@@ -63,6 +63,7 @@ class ViewCamera(ThinLens):
         **dict.fromkeys(("focus", "blades", "turn", "roundness", "aperture"), ParamFlags.NonDifferentiable),
     }
     statics = ("polygonal", "rounded")
+    density_moves = False
     focus: Vector3f
     """g in world space: its product with a point, relative to the lens, is 1 on the plane of focus."""
     blades: Float

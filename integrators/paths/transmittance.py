@@ -20,7 +20,7 @@ from djpt.samplers.independent import IndependentStream
 if TYPE_CHECKING:
     from djpt.scene.scene import Scene
 
-__all__ = ["Aim", "null_surfaces", "null_transmittance", "transmittance"]
+__all__ = ["Aim", "null_surfaces", "null_transmittance", "transmittance", "way_through"]
 
 
 @dataclass
@@ -112,6 +112,16 @@ def null_transmittance(
     if attached and passed is not None:
         left = reattached(scene, sampler, ray, left, passed)
     return weight * left
+
+
+def way_through(scene: Scene, sampler: SampleStream, ray: Ray3f, active: Bool) -> tuple[Color3f, UInt32 | None]:
+    """An estimate of the transmittance of a shadow ray, and the medium at its end; where not `active`, no light."""
+    if scene.bsdfs.have_null and scene.media:
+        end = ShadowWalk(scene, ray).end(sampler, active, measured=False)
+        go_on_with(sampler, end.sampler)
+        return dr.select(active, end.left, 0), end.medium
+    left = transmittance(scene, sampler, ray, dr.select(active, Color3f(1), 0))
+    return left, ray.medium
 
 
 def measured(

@@ -13,9 +13,9 @@ import drjit as dr
 
 from djpt.core.lookup import is_one_of
 from djpt.core.records import SHADOW_EPSILON, DiscontinuityFlags, Interaction3f, RayFlags, SurfaceInteraction3f
-from djpt.description.registry import name_of
 from djpt.errors import RenderError
 from djpt.integrators.projective.crossings import PRECISION, STRIP
+from djpt.integrators.projective.film_geometry import film_vectors, place_on_film, swept_area, viewpoint_of
 from djpt.integrators.projective.guiding import (
     UNIFORM_SHARE,
     BaseGuidingDistr,
@@ -31,14 +31,10 @@ from djpt.integrators.projective.splat import keep
 from djpt.jit.frozen import recording
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32
 from djpt.sensors.mapped import MappedCamera
-from djpt.sensors.orthographic import Orthographic
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 from djpt.textures.patches import have_patches
 
 __all__ = ["ProjectiveDetail"]
-
-FAR = 1e4
-"""The distance from which outlines are seen by parallel rays, in radii of the scene."""
 
 TRIALS, RARE = 1 << 14, 3e-3
 """The random silhouettes that tell whether a guide pays, and the efficiency of such silhouettes below which it does."""
@@ -82,28 +78,12 @@ class ProjectiveDetail:
         """
         assert self.outlines is not None
         moved = place_on_film(sensor, self.outlines.follow(ss, active, viewpoint_of(scene, sensor)))
-        change = moved - dr.detach(moved)
-        tangent, outward = self._film_vectors(sensor, ss)
-        side = dr.mulsign(Float(1), tangent.x * outward.y - tangent.y * outward.x)
-        return dr.select(active, (tangent.x * change.y - tangent.y * change.x) * side, 0)
+        return dr.select(active, swept_area(sensor, ss, moved - dr.detach(moved)), 0)
 
     def sensor_jacobian(self, sensor: Any, ss: SilhouetteSample3f) -> Float:
         """The area on the film, which is a unit square, of the unit square of `silhouette_d` and `n` at silhouettes."""
-        a, b = self._film_vectors(sensor, ss)
+        a, b = film_vectors(sensor, ss)
         return dr.abs(a.x * b.y - a.y * b.x)
-
-    def _film_vectors(self, sensor: Any, ss: SilhouetteSample3f) -> tuple[Point2f, Point2f]:
-        """How far points move on the film, a unit square, along `silhouette_d` and along `n`."""
-        with dr.resume_grad():
-            steps = [Float(0), Float(0)]
-            dr.enable_grad(steps)
-            places = []
-            for step, direction in zip(steps, (ss.silhouette_d, ss.n), strict=True):
-                places.append(place_on_film(sensor, dr.fma(dr.detach(direction), step, dr.detach(ss.p))))
-                dr.set_grad(step, 1)
-                dr.enqueue(dr.ADMode.Forward, step)
-            dr.traverse(dr.ADMode.Forward)
-            return dr.grad(places[0]), dr.grad(places[1])
 
     def eval_primary_silhouette_radiance_difference(
         self, scene: Any, sampler: Any, ss: SilhouetteSample3f, sensor: Any, active: Bool | bool = True
@@ -122,7 +102,7 @@ class ProjectiveDetail:
             if have_patches(scene.geometry.contents.shapes):
                 window = Point2f(sensor.film().crop_size())
                 width = STRIP * PRECISION * dr.max(window)
-                ss = ss.replaced(sight=distance, strip=width / dr.norm(window * self._film_vectors(sensor, ss)[1]))
+                ss = ss.replaced(sight=distance, strip=width / dr.norm(window * film_vectors(sensor, ss)[1]))
             _, importance = sensor.sample_direction(it, Point2f(0), Bool(active))
             if self.parent.hide_emitters:
                 # Lamps are passed by, and so have no outlines.
@@ -330,25 +310,6 @@ class ProjectiveDetail:
         return dr.select(active, dr.dot(followed - dr.detach(followed), dr.detach(ss.n)), 0)
 
 
-def viewpoint_of(scene: Any, sensor: Any) -> Point3f:
-    """The point that a sensor sees outlines from, or one close by; of one with parallel rays a point far away.
-
-    It is attached to the sensor.
-
-    Raises:
-        RenderError: the sensor is no camera with a place, nor one with parallel rays.
-    """
-    if sensor.is_central or isinstance(sensor, MappedCamera):
-        return Point3f(sensor.origin)
-    if not isinstance(sensor, Orthographic):
-        raise RenderError(
-            "silhouettes are supported for cameras whose rays meet in one point or are parallel only, found "
-            f"'{sensor.id()}' ({name_of(type(sensor))})"
-        )
-    center, radius = scene.bounding_sphere()
-    return Point3f(*(float(c) for c in center)) - sensor.direction * (FAR * float(radius))
-
-
 def number_of(scene: Any, ss: SilhouetteSample3f) -> UInt32:
     """The numbers of the shapes on which silhouettes are."""
     shapes = scene.geometry.contents.shapes
@@ -367,10 +328,3 @@ def detached(sensor: Any) -> Any:
 def seen_through(sensor: Any, sampler: Any) -> Any:
     """A sensor, of one with a lens what is seen through a random point of it in each lane."""
     return sensor.through_lens(sampler.next_2d()) if sensor.needs_aperture_sample() else sensor
-
-
-def place_on_film(sensor: Any, p: Point3f) -> Point2f:
-    """Where a sensor sees points, on a film that is a unit square."""
-    it = dr.zeros(Interaction3f)
-    it.p = p
-    return Point2f(sensor.sample_direction(it, Point2f(0))[0].uv / Point2f(sensor.film().crop_size()))

@@ -24,8 +24,8 @@ class Outlines:
     Args:
         shapes: the shapes, each of which has silhouettes; `SilhouetteSample3f.scene_index` counts them.
         viewpoint: the point that they are seen from.
-        creases: whether edges between two faces that are both seen belong to them, and seams of smooth meshes, if all
-            is seen from one place.
+        creases: whether edges between two faces that are both seen belong to them.
+        with_seams: whether seams of smooth meshes do, if all is seen from one place; None: as creases.
         sight: the place from which each point is seen, if it depends on the point; close to `viewpoint`.
         within: how far from `viewpoint` the places are, if there are many.
     """
@@ -35,6 +35,7 @@ class Outlines:
         shapes: Sequence[Any],
         viewpoint: Any,
         creases: bool = False,
+        with_seams: bool | None = None,
         sight: Sight | None = None,
         within: float = 0.0,
     ) -> None:
@@ -46,7 +47,7 @@ class Outlines:
             for shape in shapes
         ]
         self._seams: dict[int, tuple[Seams, int]] = {}
-        if creases and sight is None and within == 0:
+        if (creases if with_seams is None else with_seams) and sight is None and within == 0:
             for k, shape in enumerate(shapes):
                 if turns_dark(shape):
                     seams, first = Seams(shape.silhouette()), 3 * len(shape.indices)

@@ -20,7 +20,7 @@ from djpt.integrators.projective.receivers import followed, only_lamps_shine, ou
 from djpt.integrators.projective.self_views import Approach
 from djpt.integrators.projective.shadows import LampShadows, ShadowEdges
 from djpt.integrators.projective.splat import attached_splat, keep
-from djpt.integrators.projective.spread import spread
+from djpt.integrators.projective.spread import lens_points, spread
 from djpt.jit.frozen import recording
 from djpt.jit.types import Bool, Color3f, Float, Point2f, TensorXf, UInt32
 from djpt.rendering.gradients.meetings import meeting_pairs
@@ -37,9 +37,6 @@ PRIMARY_SEED, GUIDING_SEED, INDIRECT_SEED = 0xFFFFFFFF, 0xAFAFAFAF, 0xAA00AA00
 SHADOW_SEED, CUT_SEED, LENS_SEED, CIRCLE_SEED = 0x77777777, 0x33333333, 0x55555555, 0x99999999
 LINE_SEED, PATH_SEED, LAMP_SEED = 0xCCCCCCCC, 0x66666666, 0xDDDDDDDD
 """Combined with the seed of the image, for samples of their own."""
-
-MOST_LENS_POINTS = 16
-"""Outlines are seen through so many points of a lens, at most: of each they are looked for anew."""
 
 
 class PSIntegrator(RBIntegrator):
@@ -274,7 +271,7 @@ class PSIntegrator(RBIntegrator):
     def _outlines(self, scene: Scene, camera: Sensor, seed: Any, spp: int) -> TensorXf:
         """The image of the silhouettes that a camera sees; with a lens, of those seen through some points of it."""
         total = dr.zeros(TensorXf, self._shape(camera))
-        points = lens_points(self, camera, seed, spp)
+        points = lens_points(camera, LENS_SEED ^ seed, spp)
         for number, point in enumerate(points):
             pinhole = camera.through_lens(point)
             with dr.suspend_grad():
@@ -442,23 +439,6 @@ def moving_shapes(scene: Scene, sensor: Sensor) -> list[Any]:
     """The shapes whose place in the picture changes: those that move, or all if the sensor does."""
     shapes: list[Any] = scene.shapes() if sensor.attached_names() else scene.silhouette_shapes()
     return shapes
-
-
-def lens_points(integrator: PSIntegrator, camera: Sensor, seed: Any, spp: int) -> list[Point2f]:
-    """Samples of the aperture, as many as there should be points of the lens to look through; one without a lens.
-
-    The set of Hammersley, shifted at random: each point is uniform in the unit square.
-    """
-    if not camera.needs_aperture_sample():
-        return [Point2f(0)]
-    count = min(max(spp // 4, 1), MOST_LENS_POINTS)
-    sampler = camera.sampler().clone()
-    sampler.seed(LENS_SEED ^ seed, 1)
-    shift, number = sampler.next_2d(), dr.arange(UInt32, count)
-    x = Float(number) / count + shift.x
-    y = Float(dr.brev(number)) * 2.0**-32 + shift.y
-    dr.eval(x, y)
-    return [Point2f(*(dr.gather(Float, v - dr.floor(v), UInt32(k)) for v in (x, y))) for k in range(count)]
 
 
 def optional(props: Properties, name: str) -> int | None:

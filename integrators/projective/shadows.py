@@ -11,7 +11,8 @@ import drjit as dr
 import numpy as np
 
 from djpt.core.records import DirectionSample3f, EmitterFlags, Interaction3f, has_flag
-from djpt.integrators.projective.detail import FAR, seen_through
+from djpt.integrators.projective.detail import seen_through
+from djpt.integrators.projective.film_geometry import FAR
 from djpt.integrators.projective.outlines import Outlines
 from djpt.integrators.projective.receivers import lit_receivers
 from djpt.integrators.projective.spread import spread

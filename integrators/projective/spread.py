@@ -8,9 +8,12 @@ import drjit as dr
 
 from djpt.jit.types import Float, Point2f, UInt32
 
-__all__ = ["spread"]
+__all__ = ["lens_points", "spread"]
 
 BELOW_ONE = 1 - 2**-24
+
+MOST_LENS_POINTS = 16
+"""Outlines are seen through so many points of a lens, at most: of each they are looked for anew."""
 
 
 def spread(sampler: Any) -> Point2f:
@@ -24,3 +27,20 @@ def spread(sampler: Any) -> Point2f:
     x = (Float(lane) + sampler.next_1d()) / lanes
     y = Float(dr.brev(lane)) * 2.0**-32 + dr.gather(Float, sampler.next_1d(), UInt32(0))
     return Point2f(dr.minimum(x, BELOW_ONE), y - dr.floor(y))
+
+
+def lens_points(camera: Any, seed: Any, spp: int) -> list[Point2f]:
+    """Samples of the aperture, as many as there should be points of the lens to look through; one without a lens.
+
+    The set of Hammersley, shifted at random: each point is uniform in the unit square.
+    """
+    if not camera.needs_aperture_sample():
+        return [Point2f(0)]
+    count = min(max(spp // 4, 1), MOST_LENS_POINTS)
+    sampler = camera.sampler().clone()
+    sampler.seed(seed, 1)
+    shift, number = sampler.next_2d(), dr.arange(UInt32, count)
+    x = Float(number) / count + shift.x
+    y = Float(dr.brev(number)) * 2.0**-32 + shift.y
+    dr.eval(x, y)
+    return [Point2f(*(dr.gather(Float, v - dr.floor(v), UInt32(k)) for v in (x, y))) for k in range(count)]

@@ -100,6 +100,8 @@ class Case:
     settings: dict[str, Any] = field(default_factory=dict)
     thorough: bool = False
     """Whether the guide has much effort: with little, rare samples of great weight are missed, or prevail."""
+    by: str = "path"
+    """The integrator whose images have the differences."""
 
     def scene(self, theta: Float) -> Any:
         """The scene, moved."""
@@ -112,7 +114,7 @@ class Case:
     def difference(self) -> tuple[float, float]:
         """The change of the loss with theta by central differences, and its standard error."""
         hidden = {key: value for key, value in self.settings.items() if key == "hide_emitters"}
-        path = djpt.load_dict({"type": "path", "max_depth": self.depth, **hidden})
+        path = djpt.load_dict({"type": self.by, "max_depth": self.depth, **hidden})
         found = []
         for seed in range(3):
             ahead, back = (

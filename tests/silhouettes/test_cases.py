@@ -7,14 +7,19 @@ from dataclasses import replace
 import pytest
 
 from djpt.core.transforms import ScalarTransform4f as T
-from tests.silhouettes import camera_cases, cases, hollow_cases, light_cases, mirror_cases
+from tests.silhouettes import camera_cases, cases, fog_cases, hollow_cases, light_cases, mirror_cases
 from tests.silhouettes.cases import INTERIOR, PRB, Case, plate, sensor, sky, turn
 
-CASES = cases.CASES | camera_cases.CASES | light_cases.CASES | mirror_cases.CASES | hollow_cases.CASES
+CASES = {
+    name: case
+    for module in (cases, camera_cases, fog_cases, light_cases, mirror_cases, hollow_cases)
+    for name, case in module.CASES.items()
+}
 
 QUICK = {
     "a coarse smooth mesh": "direct_projective",
     "a camera, turn: a globe": "prb_projective",
+    "a camera in fog, turn": "volpath",
     "a ball rises from a floor": "direct_projective",
     "a flat mirror": "prb_projective",
     "a bowl with dents": "direct_projective",

@@ -15,6 +15,7 @@ from djpt.core.transforms import ScalarTransform4f as T
 from djpt.errors import DjptError, RenderError
 from djpt.jit.types import Float, TensorXf
 from djpt.rendering.gradients.unproven import CASES
+from djpt.rendering.gradients.unproven_cameras import CAMERA_CASES
 from djpt.scene.intersecting_shapes import between, is_convex, may_intersect
 from tests.kit import materials
 from tests.silhouettes.test_projective import SCENES, globe, octahedron
@@ -467,19 +468,72 @@ def test_what_stands_between_boxes() -> None:
         assert between(shape({"type": "sphere", "center": list(center), "radius": 0.1}), a, b) is expected
 
 
-@pytest.mark.parametrize("kind", ["volpath", "prbvolpath"])
-def test_cameras_in_media_are_refused(kind: str) -> None:
-    """The message says that the integrators for motion would leave the fog out of the picture."""
-    fog = {"type": "cube", "bsdf": {"type": "null"}, "interior": {"type": "homogeneous", "sigma_t": 0.2}}
-    with pytest.raises(RenderError, match=r"'sensor' moves .* which leave media out: the edges"):
-        djpt.render(
-            with_camera(fog={**fog, "to_world": T().scale(20)}), integrator=djpt.load_dict({"type": kind}), spp=1
-        )
+FOG = {"type": "cube", "to_world": T().scale(20), "bsdf": {"type": "null"}}
+"""A box about all, with the camera in it."""
+
+
+def fog(kind: str = "homogeneous", **medium: Any) -> dict[str, Any]:
+    """Fog everywhere."""
+    return {**FOG, "interior": {"type": kind, "sigma_t": 0.2, **medium}}
+
+
+VOXEL_FOG = {"type": "gridvolume", "data": VOXELS[:, :, :, :1], "raw": True, "filter_type": "nearest"}
+IN_FOG: dict[str, tuple[dict[str, Any], str]] = {
+    "a mirror": ({"moving": ball({"type": "conductor"})}, "what is seen in them"),
+    "a mask": ({"moving": ball({"type": "mask", "opacity": 0.5, "nested": PLASTER})}, "what is seen in them"),
+    "a normal map": ({"moving": ball({**NORMALS, "bsdf": PLASTER})}, "bent normals"),
+    "a glowing medium": ({"fog": fog(emission=0.1)}, "emits light"),
+    "voxels": ({"fog": fog("heterogeneous", sigma_t=VOXEL_FOG)}, "edges of their voxels"),
+    "a surface of balls": ({"moving": BLOBS}, "may be seen by the camera"),
+    "a distorted picture": ({"sensor": {**SENSOR, "k1": 0.1}}, "how much of the film"),
+    "a far plane": ({"sensor": {**SENSOR, "far_clip": 7.0}}, "reaches beyond the 'far_clip'"),
+}
+
+
+@pytest.mark.parametrize("name", IN_FOG)
+def test_cameras_in_fog_that_are_refused(name: str) -> None:
+    nodes, message = IN_FOG[name]
+    # The fog reaches further than the far plane.
+    scene = with_camera(**{"fog": fog(), **nodes})
+    with pytest.raises(RenderError, match=message):
+        djpt.render(scene, integrator=djpt.load_dict({"type": "volpath"}), spp=1)
+    chosen = djpt.load_dict({"type": "volpath", "max_depth": 2, "unproven_gradients": True})
+    assert dr.grad_enabled(djpt.render(scene, integrator=chosen, spp=1))
+
+
+def test_an_orthographic_camera_under_a_sky() -> None:
+    view = {**SENSOR, "type": "orthographic"}
+    del view["fov"]
+    scene = djpt.load_dict(room(sensor=view, fog=fog(), sky={"type": "constant"}))
+    params = djpt.traverse(scene)
+    params["sensor.to_world"] = djpt.Transform4f(params["sensor.to_world"]) @ djpt.Transform4f().translate(
+        djpt.Vector3f(attached(), 0, 0)
+    )
+    params.update()
+    with pytest.raises(RenderError, match="all its rays show one direction"):
+        djpt.render(scene, integrator=djpt.load_dict({"type": "volpath"}), spp=1)
+
+
+def attached() -> Float:
+    """A number with gradients."""
+    number = dr.opaque(Float, 0)
+    dr.enable_grad(number)
+    return number
+
+
+@pytest.mark.parametrize("kind", ["volpath", "prbvolpath", "volpathmis"])
+def test_cameras_in_fog(kind: str) -> None:
+    """They have derivatives; if a shape moves as well, the message says that its outlines would be left out."""
+    chosen = djpt.load_dict({"type": kind})
+    assert dr.grad_enabled(djpt.render(with_camera(fog=fog()), integrator=chosen, spp=1))
+    scene, _ = moved(room(fog=fog()))
+    with pytest.raises(RenderError, match=r"'moving' moves .* which leave media out: the edges"):
+        djpt.render(scene, integrator=chosen, spp=1)
 
 
 def test_the_guide_lists_the_cases() -> None:
     guide = (ROOT / "docs" / "guides" / "gradients.md").read_text()
-    for case in CASES:
+    for case in (*CASES, *CAMERA_CASES):
         assert f"| {case.name} | {case.reason} | {case.way_out} |" in guide
 
 

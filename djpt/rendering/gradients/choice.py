@@ -23,18 +23,23 @@ from djpt.rendering.schedules.base import Schedule
 from djpt.rendering.schedules.choice import choose
 from djpt.rendering.schedules.job import Job, image_channels
 from djpt.rendering.settings import RenderSettings
+from djpt.scene.scene import Scene
 
-__all__ = ["derivative_of", "differentiable"]
+__all__ = ["derivative_of", "differentiable", "with_motion"]
 
 
 def differentiable(
     job: Job,
     schedule: Schedule,
+    scene: Scene,
     settings: RenderSettings,
     parameters: list[Parameter],
+    motion: list[Parameter],
     unused: list[Any],
 ) -> TensorXf:
     """The image of a job, attached to `parameters`, and to `unused` values, by which its derivative is 0.
+
+    It is also attached to the parameters by which the camera of the `scene` is placed, `motion`.
 
     Derivatives use samples of their own, whose number and seed the settings say.
 
@@ -43,13 +48,24 @@ def differentiable(
     """
     spp = settings.spp_grad or job.spp
     samples = replace(job, seed=settings.gradient_seed, spp=spp, progress=None, pass_spp=0, interruption=None)
-    derivative = known_derivative_or(settings, derivative_of(samples, schedule, parameters))
+    derivative = with_motion(derivative_of(samples, schedule, parameters), scene, settings, motion)
+    derivative = known_derivative_or(settings, derivative)
 
     def primal() -> TensorXf:
         with dr.suspend_grad():
             return known_or(settings, lambda: schedule.image(job))
 
-    return attached_image(parameters, unused, primal, derivative)
+    return attached_image([*parameters, *motion], unused, primal, derivative)
+
+
+def with_motion(rest: Derivative, scene: Scene, settings: RenderSettings, motion: list[Parameter]) -> Derivative:
+    """The estimator of the derivative by all parameters, from that for the `rest`, which come first."""
+    if not motion:
+        return rest
+    # Few images need what follows a camera.
+    from djpt.rendering.gradients.camera_in_media import CameraInMedia
+
+    return SumOfDerivatives(rest, CameraInMedia(scene.replace(all_media=True), settings, motion), len(motion))
 
 
 def derivative_of(samples: Job, schedule: Schedule, parameters: list[Parameter]) -> Derivative:
@@ -96,3 +112,18 @@ def nested_derivative(samples: Job, parameters: list[Parameter]) -> Derivative:
     from djpt.rendering.gradients.nested import NestedDerivative
 
     return NestedDerivative(color, part(others), len(image_channels(samples.film, whole.path_tracer)))
+
+
+class SumOfDerivatives:
+    """The derivative of an image by two lists of parameters, of which the second one has a given length."""
+
+    def __init__(self, first: Derivative, second: Derivative, count: int) -> None:
+        self._first, self._second, self._count = first, second, count
+
+    def backward(self, image: TensorXf) -> list[Any]:
+        """The gradients of all parameters, from the derivatives with respect to the pixels (H, W, C)."""
+        return [*self._first.backward(image), *self._second.backward(image)]
+
+    def forward(self, tangents: list[Any]) -> TensorXf:
+        """The derivative of the image in the direction of `tangents`, one per parameter."""
+        return self._first.forward(tangents[: -self._count]) + self._second.forward(tangents[-self._count :])

@@ -33,7 +33,19 @@ if TYPE_CHECKING:
     from djpt.scene.scene import Scene
     from djpt.sensors.base import Sensor
 
-__all__ = ["CASES", "Case", "Rendering", "moves", "require_proven"]
+__all__ = [
+    "CASES",
+    "Case",
+    "Rendering",
+    "far_planes",
+    "moves",
+    "named",
+    "nested_bsdfs",
+    "of_lobes",
+    "require_proven",
+    "unknown_outlines",
+    "without_silhouettes",
+]
 
 
 NARROW = 0.01
@@ -311,7 +323,8 @@ def shifted(box: tuple[Any, Any], by: Any) -> tuple[Any, Any]:
 
 def without_silhouettes(rendering: Rendering) -> Iterator[str]:
     """An integrator that follows no silhouettes."""
-    if rendering.movers() and not rendering.integrator.follows_silhouettes:
+    still = rendering.camera is None or rendering.integrator.follows_camera
+    if (rendering.moving or rendering.lights or not still) and not rendering.integrator.follows_silhouettes:
         yield f"the integrator '{type(rendering.integrator).__name__}' follows no silhouettes"
 
 
@@ -417,7 +430,12 @@ def require_proven(scene: Scene, integrator: Integrator, sensor: Sensor | None =
     if not movers:
         return
     what = f"'{movers[-1].id()}' moves with parameters that have gradients"
-    for case in CASES:
+    cases = CASES
+    if rendering.camera is not None and integrator.follows_camera:
+        from djpt.rendering.gradients.unproven_cameras import CAMERA_CASES  # few cameras move in media
+
+        cases = CAMERA_CASES
+    for case in cases:
         if case.needs_numbers and recording():
             continue
         node = next(case.found(rendering), None)
