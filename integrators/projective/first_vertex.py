@@ -194,6 +194,7 @@ class FirstVertex:
         """Follow paths that begin at surface points `si`, seen along rays, with nothing between."""
         state = integrator.begin(scene, sampler)
         assert isinstance(state, VolumetricPathState)
+        si = si.replaced(media=() if ray.medium is None else (ray.medium,))
         passage = nothing_passed(scene, dr.width(ray, si))
         return FirstVertex._of(integrator, scene, sampler, state, ray.o, ray, si, Flight.none(), passage, active)
 
