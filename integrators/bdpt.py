@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import drjit as dr
@@ -40,7 +40,7 @@ from djpt.integrators.bidirectional.subpath import (
 from djpt.integrators.paths.path_vertex import NextVertex, PathVertex, Scattering, is_half_open, next_vertex
 from djpt.integrators.paths.transmittance import transmittance
 from djpt.integrators.termination import Terminating, first_roulette, roulette
-from djpt.jit.kernels import loop_traced_once, minimum, while_loop, wide
+from djpt.jit.kernels import loop_traced_once, while_loop, wide
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32
 from djpt.samplers.base import SampleStream
 from djpt.sensors.base import Sensor
@@ -56,8 +56,17 @@ JOINED = 32
 Light paths have memory for as many vertices, whatever `max_depth` is: a kernel's memory can't be a value.
 """
 
-LITTLE = 0.25
-"""A fraction of the light that a camera path has found: rays of connections that bring less aren't worth their time."""
+
+@dataclass
+class ChosenConnection:
+    """One of the connections of a vertex."""
+
+    to: Point3f
+    """Where its ray ends."""
+    color: Color3f
+    """Its light, if nothing were on the way, with the largest channel 1."""
+    total: Float
+    """The sum of the largest channels of all connections so far."""
 
 
 class BidirectionalPath(Terminating, SplattingIntegrator):
@@ -142,19 +151,27 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
             step = self.camera_step(scene, hit, lane.sampler)
             radiance += strategy_images.weighed(step.lit, step.weight, UInt32(1), t)
 
-            def connect(i: UInt32, radiance: Color3f, sampler: Any, vertices: Any) -> tuple[UInt32, Color3f, Any, Any]:
-                v = vertices.read(i)
-                way, value, weight = self.connection(scene, hit.subpath, hit.vertex, v)
-                value = self.through(scene, sampler, way, value, weight, radiance)
-                return i + 1, radiance + strategy_images.weighed(value, weight, v.depth + 1, t), sampler, vertices
-
             count = dr.select(hit.joins, lane.count, 0)
-            _, lane.radiance, lane.sampler, lane.vertices = while_loop(
-                (dr.zeros(UInt32, dr.width(count)), radiance, lane.sampler, lane.vertices),
-                lambda i, radiance, sampler, vertices: i < count,
-                connect,
-                label="connections",
-            )
+            if not self.strategies:
+                found, lane.sampler, lane.vertices = self.one_connection(scene, hit, count, lane.sampler, lane.vertices)
+                lane.radiance = radiance + found
+            else:
+
+                def connect(
+                    i: UInt32, radiance: Color3f, sampler: Any, vertices: Any
+                ) -> tuple[UInt32, Color3f, Any, Any]:
+                    v = vertices.read(i)
+                    to, value, weight = self.connection(scene, hit.subpath, hit.vertex, v)
+                    value = transmittance(scene, sampler, hit.vertex.ray_to(to), value, to_emitter=False)
+                    radiance += strategy_images.weighed(value, weight, v.depth + 1, t)
+                    return i + 1, radiance, sampler, vertices
+
+                _, lane.radiance, lane.sampler, lane.vertices = while_loop(
+                    (dr.zeros(UInt32, dr.width(count)), radiance, lane.sampler, lane.vertices),
+                    lambda i, radiance, sampler, vertices: i < count,
+                    connect,
+                    label="connections",
+                )
             lane.covered |= step.covers
             lane.subpath, lane.active = self.after(scene, hit, step, lane.sampler)
             return (lane,)
@@ -355,8 +372,8 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
 
     def connection(
         self, scene: Scene, subpath: Subpath, vertex: PathVertex, v: LightVertex
-    ) -> tuple[Ray3f, Color3f, Float]:
-        """The ray from a vertex to the vertex `v` of the light path, the light that it sends back, and the weight."""
+    ) -> tuple[Point3f, Color3f, Float]:
+        """Where the ray from a vertex to the vertex `v` of the light path ends, the light sent back, and its weight."""
         there = v.vertex(scene)
         to_light = v.p - vertex.si.p
         falloff = dr.rcp(dr.squared_norm(to_light))
@@ -369,23 +386,42 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
         by_light = meeting(*self.mergeable(scene, v, there, subpath, vertex), at_light, sent_back, self.h)
         by_camera = meeting(subpath.vcm, subpath.vc, at_camera, pdf_back, self.h)
         fits = subpath.depth + v.depth < self.joined
-        way = vertex.ray_to(there.si.offset_p(-d))
-        return way, dr.select(fits, value, 0), mis_weight(by_light + by_camera)
+        return there.si.offset_p(-d), dr.select(fits, value, 0), mis_weight(by_light + by_camera)
 
-    def through(
-        self, scene: Scene, sampler: SampleStream, ray: Ray3f, value: Color3f, weight: Float, radiance: Color3f
-    ) -> Color3f:
-        """The part of the light `value` of a connection that arrives.
+    def one_connection(
+        self, scene: Scene, hit: CameraHit, count: UInt32, sampler: Any, vertices: Any
+    ) -> tuple[Color3f, Any, Any]:
+        """The weighted light of the connections of a vertex with `count` others, by the ray of one of them.
 
-        Where rays search a tree or go through media, light that adds little to the `radiance` so far is followed by
-        chance.
+        It is chosen by the light that it would bring if nothing were between the two vertices, while the light path is
+        read once (M. T. Chao, "A general purpose unequal probability sampling plan", 1982): with L_i of all connections
+        and the transmittance T_k of the one that was chosen, L_k / max(L_k) T_k sum of max(L_i).
         """
-        if (not scene.geometry.has_trees and not scene.media.scatter) or self.strategies:
-            return transmittance(scene, sampler, ray, value, to_emitter=False)
-        chance = minimum(dr.max(value) * weight * dr.rcp(LITTLE * dr.max(radiance)), 1)
-        survives = sampler.next_1d() < chance
-        value = dr.select(survives, value * dr.rcp(chance), 0)
-        return transmittance(scene, sampler, ray, value, to_emitter=False)
+
+        def connect(
+            i: UInt32, chosen: ChosenConnection, sampler: Any, vertices: Any
+        ) -> tuple[UInt32, ChosenConnection, Any, Any]:
+            to, value, weight = self.connection(scene, hit.subpath, hit.vertex, vertices.read(i))
+            light = value * weight
+            amount = dr.max(light)
+            total = chosen.total + amount
+            takes = sampler.next_1d() * total < amount
+            color = light * dr.rcp(dr.select(takes, amount, 1))
+            chosen = ChosenConnection(
+                to=dr.select(takes, to, chosen.to), color=dr.select(takes, color, chosen.color), total=total
+            )
+            return i + 1, chosen, sampler, vertices
+
+        lanes = dr.width(count)
+        _, chosen, sampler, vertices = while_loop(
+            (dr.zeros(UInt32, lanes), dr.zeros(ChosenConnection, lanes), sampler, vertices),
+            lambda i, chosen, sampler, vertices: i < count,
+            connect,
+            label="connections",
+        )
+        light = chosen.color * chosen.total
+        way = hit.vertex.ray_to(chosen.to)
+        return transmittance(scene, sampler, way, light, to_emitter=False), sampler, vertices
 
     def merged(
         self, scene: Scene, subpath: Subpath, vertex: PathVertex, sampler: SampleStream, joins: Bool

@@ -120,15 +120,19 @@ class UnifiedPointsBeamsPaths(VertexConnectionMerging):
     def looking_at(self, photons: PhotonMap) -> UnifiedPointsBeamsPaths:
         integrator = super().looking_at(photons)
         assert isinstance(integrator, UnifiedPointsBeamsPaths)
-        integrator._share = dr.opaque(Float, self.beam_count / self.photon_count)
-        integrator._over_points = dr.opaque(Float, self.photon_count / self.point_count)
-        integrator._of_point = self.h(
-            photons.expected * dr.opaque(Float, self.point_count / self.photon_count / self.crowd)
-        )
-        pairs = photons.radius * dr.opaque(Float, 2 * self.beam_count)
+        points = self.fraction(self.point_count, photons)
+        integrator._share = dr.opaque(Float, self.fraction(self.beam_count, photons))
+        integrator._over_points = dr.opaque(Float, 1 / points)
+        integrator._of_point = self.h(photons.expected * dr.opaque(Float, points / self.crowd))
+        pairs = photons.radius * dr.opaque(Float, 2 * min(self.beam_count, photons.paths))
         integrator._of_pair = pairs * MEAN_SINE * dr.opaque(Float, 1 / self.crowd)
         integrator._over_pairs = photons.expected * dr.rcp(pairs)
         return integrator
+
+    @staticmethod
+    def fraction(count: int, photons: PhotonMap) -> float:
+        """The fraction of the light paths of a map that `count` of them are, if there are so many."""
+        return min(count / photons.paths, 1)
 
     def take(self, store: PhotonStore, count: int) -> None:
         super().take(store, count)
@@ -138,7 +142,7 @@ class UnifiedPointsBeamsPaths(VertexConnectionMerging):
         there = Bool(True)
         if self.beams_of_camera:
             self._balls = Cells(photons.box, photons.radius)
-            most = dr.opaque(UInt32, round(self.point_count / self.photon_count * (2**32 - 1)))
+            most = dr.opaque(UInt32, round(self.fraction(self.point_count, photons) * (2**32 - 1)))
             self._balls.fill(count, lambda i: ball(photons, i, most))
         if self.beams_of_light:
             self._beams = store

@@ -50,6 +50,9 @@ __all__ = ["PhotonPath", "VertexConnectionMerging"]
 PATHS_PER_SAMPLE = (1 / 16, 1.0)
 """The fewest and the most light paths of a pass for each of its camera paths."""
 
+FEWEST_PATHS = 2**14
+"""The light paths of a pass, at least, unless their number is given: mergings of few paths are noisy."""
+
 
 @dataclass
 class PhotonPath:
@@ -82,7 +85,8 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
     Parameters: those of `bdpt` (without `strategies`), those of all `PhotonMapping` (`photon_count` is 2^16 by
     default), and `merging`: the edges of camera paths that are merged, `glossy` (default) or `everywhere`, as in the
     literature; with sensors to which light can't be traced the first edge is one of the former. About as many light
-    paths leave photons as camera paths are merged, at least one for sixteen of all.
+    paths leave photons as camera paths are merged, at least one for sixteen of all. Images whose samples don't fill a
+    pass have fewer, at least 2^14, unless `photon_count` is given.
 
     I. Georgiev, J. Křivánek, T. Davidovič and P. Slusallek, "Light Transport Simulation with Vertex Connection and
     Merging", 2012; T. Hachisuka, J. Pantaleoni and H. W. Jensen, "A Path Space Extension for Robust Light Transport
@@ -101,6 +105,7 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
         if self.strategies:
             raise props.error("strategies", "isn't possible with photons; possible with: bdpt")
         self.everywhere = props.string("merging", "glossy", choices=("glossy", "everywhere")) == "everywhere"
+        self.is_count_given = "photon_count" in props
         self._merging = self._merging_in_media = Float(0)
 
     def paths_for(self, sharp_fraction: Callable[[], float]) -> float:
@@ -109,6 +114,11 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
             return self.paths_per_sample
         least, most = PATHS_PER_SAMPLE
         return min(most, 2.0 ** round(math.log2(max(least, sharp_fraction()))))
+
+    def paths_of_pass(self, fraction: float) -> int:
+        if self.is_count_given:
+            return self.photon_count
+        return max(FEWEST_PATHS, math.ceil(min(fraction, 1) * self.photon_count))
 
     def looking_at(self, photons: PhotonMap) -> VertexConnectionMerging:
         integrator = super().looking_at(photons)

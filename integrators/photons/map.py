@@ -89,6 +89,7 @@ class PhotonMap:
             box: a box about most photons in media; None if nobody asks for it.
         """
         self.box = box
+        self.paths = paths
         density = math.pi * radius**2 * paths
         self.expected = as_float(density)
         """The photons within the radius per density of light paths: pi radius^2 paths."""

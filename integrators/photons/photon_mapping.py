@@ -115,6 +115,10 @@ class PhotonMapping(SplattingIntegrator):
         """
         return self.paths_per_sample
 
+    def paths_of_pass(self, fraction: float) -> int:
+        """The light paths of a pass, if the image has this `fraction` of the samples of a whole one."""
+        return self.photon_count
+
     def store(self, scene: Scene) -> PhotonStore:
         """Memory for the photons of a pass."""
         return PhotonStore(self.id(), self.photon_count, self.weighs_photons, scene.media.scatter)

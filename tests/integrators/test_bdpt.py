@@ -216,6 +216,21 @@ def test_strategies_add_up_and_agree() -> None:
             assert_equal_means(alone, first, block=8)
 
 
+def test_one_connection_stands_for_all() -> None:
+    """Images of strategies follow the rays of all connections, the image itself those of one for each vertex."""
+    scene = djpt.load_dict(box(16, "box", {"type": "path"}))
+    means = []
+    for strategies_too in (False, True):
+        integrator = djpt.load_dict({"type": "bdpt", "max_depth": 5, "strategies": strategies_too})
+        images = [np.array(djpt.render(scene, integrator=integrator, spp=128, seed=seed)) for seed in range(6)]
+        below_the_lamp = np.stack(images, dtype=np.float64)[:, 8:, :, :3]
+        means.append(below_the_lamp.reshape(6, 2, 4, 4, 4, 3).mean((2, 4)))
+    a, b = means
+    error = np.sqrt(a.var(0, ddof=1) / 6 + b.var(0, ddof=1) / 6)
+    assert (np.abs(a.mean(0) - b.mean(0)) < 5 * error.max()).all()
+    assert error.max() < 0.01 * a.mean()
+
+
 def test_strategies_need_a_bound() -> None:
     for depth in (-1, 1, 9):
         with pytest.raises(SceneError, match=r"strategies.* needs a 'max_depth' from 2 to 8"):

@@ -342,3 +342,12 @@ def test_what_is_refused(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(memory, "free_memory", lambda: 2**30)
     with pytest.raises(RenderError, match=r"photons of 40000000 light paths takes about .*lower 'photon_count'"):
         image(scene, kind, 1, photon_count=40_000_000)
+
+
+def test_images_that_fill_no_pass_have_fewer_light_paths() -> None:
+    """Down to a least number, unless their number is given; `sppm` has nothing else that it could show."""
+    found = {kind: djpt.load_dict({"type": kind}) for kind in ("sppm", "vcm", "upbp")}
+    for fraction, paths in ((1 / 64, 2**14), (0.5, 2**15), (1.0, 2**16), (3.0, 2**16)):
+        assert found["vcm"].paths_of_pass(fraction) == found["upbp"].paths_of_pass(fraction) == paths
+    assert found["sppm"].paths_of_pass(0.5) == 2**18
+    assert djpt.load_dict({"type": "vcm", "photon_count": 500}).paths_of_pass(0.5) == 500

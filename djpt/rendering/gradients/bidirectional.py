@@ -159,9 +159,9 @@ class BothEnds:
                 v = joints.vertices.read(i)
                 there = None if joints.zero_weight is None else joints.zero_weight.read(i)
                 with dr.resume_grad():
-                    way, value, weight = integrator.connection(scene, arrived, hit.vertex, v)
+                    to, value, weight = integrator.connection(scene, arrived, hit.vertex, v)
                     lit = Bool(True) if dr.grad_enabled(value) else None
-                    value = scene.transmittance(way, value, lit, to_emitter=False)
+                    value = scene.transmittance(hit.vertex.ray_to(to), value, lit, to_emitter=False)
                     joint = Joint(value * dr.detach(weight), delta, arrived.zero_weight, there, joints.beside, i)
                     joined = gradient_sums.connect(joined, joint)
                 return i + 1, joined, joints

@@ -178,7 +178,7 @@ STRIPS = {4: 2, 2: 8, 1: 2**32}
 APART = 0x9E3779B9
 """Keeps the hashes of passes apart from those of samples."""
 
-FIRST_PATHS = 2**15
+FIRST_PATHS = 2**13
 """The light paths, at most, whose photons are counted for the first radius."""
 
 OUTSIDE = 0.005
@@ -229,12 +229,17 @@ class Preparation:
         return math.ceil(self._integrator.photon_count / (per_sample * self._job.width * self._job.height))
 
     @cached_property
+    def paths(self) -> int:
+        """The light paths of a pass."""
+        return self._integrator.paths_of_pass(self._job.spp / self.pass_size)
+
+    @cached_property
     def store(self) -> PhotonStore:
         """Memory for the photons of a pass."""
         return self._integrator.store(self._job.scene)
 
     @property
-    def _paths(self) -> int:
+    def _first_paths(self) -> int:
         """The number of light paths that are followed beforehand."""
         return min(self._integrator.photon_count, FIRST_PATHS)
 
@@ -244,7 +249,9 @@ class Preparation:
         scene, integrator = self._job.scene, self._integrator
         # Where photons lie doesn't depend on a radius.
         looking = integrator.looking_at(PhotonMap(1.0, integrator.photon_count, scene.lights.brightness))
-        return walk(scene, looking, self.store, self._paths, sample_tea_32(dr.opaque(UInt32, APART), UInt32(0))[0])
+        return walk(
+            scene, looking, self.store, self._first_paths, sample_tea_32(dr.opaque(UInt32, APART), UInt32(0))[0]
+        )
 
     @cached_property
     def radius(self) -> float:
@@ -258,8 +265,8 @@ class Preparation:
             side = float((high - low).max())
             return LARGEST_SIDE * side if 0 < side < np.inf else LARGEST_SIDE
         count = self._photons
-        wanted = integrator.crowd * self._paths / integrator.photon_count
-        return radius_of_crowd(self.seen, lambda photons: photons.fill(self.store, count), self._paths, wanted)
+        wanted = integrator.crowd * self._first_paths / integrator.photon_count
+        return radius_of_crowd(self.seen, lambda photons: photons.fill(self.store, count), self._first_paths, wanted)
 
     @cached_property
     def box(self) -> Box | None:
@@ -315,9 +322,8 @@ class PhotonSamples(SplattedSamples):
         """The integrator with the map of a pass, 0, 1, .."""
         if number != self._number or self._looking is None:
             prepared = self.prepared(job)
-            first, box = prepared.radius, prepared.box
             self._looking = None  # its map's memory is that of the next one
-            self._looking = trace(job, prepared.store, first, box, number)
+            self._looking = trace(job, prepared, number)
             self._number = number
         return self._looking
 
@@ -381,15 +387,15 @@ def crossed(job: Job, box: Box) -> Box:
     return Box.of(*np.quantile(places, (BESIDE, 1 - BESIDE), axis=0))
 
 
-def trace(job: Job, store: PhotonStore, first: float, box: Box | None, number: int) -> PhotonMapping:
-    """The integrator with the map of the pass `number`; `first` is the radius of the first pass."""
+def trace(job: Job, prepared: Preparation, number: int) -> PhotonMapping:
+    """The integrator with the map of the pass `number`."""
     scene, integrator = job.scene, job.integrator
     assert isinstance(integrator, PhotonMapping)
-    paths = integrator.photon_count
-    photons = PhotonMap(integrator.radius(first, number), paths, scene.lights.brightness, box)
+    paths, box = prepared.paths, prepared.box
+    photons = PhotonMap(integrator.radius(prepared.radius, number), paths, scene.lights.brightness, box)
     looking = integrator.looking_at(photons)
     seed, _ = sample_tea_32(job.seed_value, dr.opaque(UInt32, (number + APART) & 0xFFFFFFFF))
-    looking.take(store, walk(scene, looking, store, paths, seed))
+    looking.take(prepared.store, walk(scene, looking, prepared.store, paths, seed))
     return looking
 
 
