@@ -2,17 +2,18 @@
 
 It is a scene and a number theta that some of its parameters depend on. Its derivative is that of a weighted sum of
 pixels. It is right if it is that of central differences at the same seeds, within 3 per cent or 4 standard errors, or
-refused with a reason; anything else is wrong.
+refused with a reason; anything else is wrong. Cells may ask for more than 3 per cent.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import drjit as dr
 import numpy as np
+from numpy.typing import NDArray
 
 import djpt
 from djpt.core.transforms import ScalarTransform4f as T
@@ -20,7 +21,7 @@ from djpt.errors import ParameterError, RenderError
 from djpt.jit.types import Float, TensorXf
 from djpt.validation.gradcheck.check import judged, standard_error
 
-__all__ = ["MOST_SEEDS", "Cell", "Edit", "Node", "Outcome", "Scene", "camera_above"]
+__all__ = ["MOST_SEEDS", "Accuracy", "Cell", "Edit", "Node", "Outcome", "Scene", "camera_above"]
 
 SIZE = 12
 COLUMN = np.linspace(-1, 1, SIZE)
@@ -34,15 +35,11 @@ Edit = Callable[[Any, Float], None]
 SEEDS, MOST_SEEDS, MOST_DIFFERENCES = 4, 64, 512
 """The number of seeds to start with, and the largest ones of derivatives and of differences, which cost less."""
 
-PRECISE, NOTHING = 0.03, 1e-3
-"""The standard error at which no more seeds are needed, relative to the derivative, or to the sum of pixels."""
-
-
 GUIDE = {"proj_seed_spp": 512, "octree_max_depth": 7}
 """The settings of guides for so few pixels: derivatives are right with any."""
 
-CRITICAL, SLACK = 4.0, 0.03
-"""The deviate, and the relative difference, up to which a derivative is right."""
+CRITICAL = 4.0
+"""The deviate up to which a derivative is right."""
 
 SUSPECT = 2.0
 """The deviate above which more seeds are needed, as few of them can't tell."""
@@ -72,6 +69,18 @@ class Outcome:
 
 
 @dataclass(frozen=True)
+class Accuracy:
+    """What is asked of a derivative."""
+
+    close: float = 0.03
+    """The relative difference up to which it is right whatever its noise."""
+    precise: float = 0.03
+    """The standard error at which no more seeds are needed, relative to the derivative, ..."""
+    nothing: float = 1e-3
+    """... or to the sum of pixels."""
+
+
+@dataclass(frozen=True)
 class Cell:
     """A derivative."""
 
@@ -83,7 +92,14 @@ class Cell:
     integrator: Node
     step: float = 0.08
     spp: int = 2048
+    spp_difference: int = 0
+    """Of differences, whose images take less time; 0: `spp`."""
     camera: Callable[[], Node] = camera_above
+    weights: NDArray[np.float64] = field(default_factory=lambda: WEIGHTS, repr=False)
+    """One for each number of the image."""
+    settings: Mapping[str, int] = field(default_factory=lambda: GUIDE)
+    """Attributes of the integrator."""
+    accuracy: Accuracy = Accuracy()
 
     @property
     def label(self) -> str:
@@ -102,15 +118,17 @@ class Cell:
                 errors = [standard_error(values) for values in pair]
                 error = float(np.hypot(*errors))
                 wanted = float(np.mean(expected))
-                precise = error <= max(PRECISE * abs(wanted), NOTHING * brightness)
+                precise = error <= max(self.accuracy.precise * abs(wanted), self.accuracy.nothing * brightness)
                 difference = abs(float(np.mean(found)) - wanted)
                 z = judged(self.label, *pair, CRITICAL, paired=False).z
-                close = difference <= SLACK * abs(wanted)
+                close = difference <= self.accuracy.close * abs(wanted)
                 more = len(found) < most, len(expected) < MOST_DIFFERENCES
-                if (precise and (close or abs(z) <= SUSPECT)) or not any(more):
+                # The side with the larger error first; if that may have no more seeds, the other one can't help much.
+                noisier = int(errors[1] > errors[0])
+                exhausted = not more[noisier] and errors[1 - noisier] < 0.5 * errors[noisier]
+                if (precise and (close or abs(z) <= SUSPECT)) or exhausted or not any(more):
                     break
-                # The side with the larger error first.
-                if more[0] and (errors[0] >= errors[1] or not more[1]):
+                if more[0] and (noisier == 0 or not more[1]):
                     found += [scene.forward(2 * seed + 101) for seed in range(len(found), 2 * len(found))]
                 else:
                     expected += [scene.difference(seed) for seed in range(len(expected), 2 * len(expected))]
@@ -126,7 +144,7 @@ class Scene:
     def __init__(self, cell: Cell) -> None:
         nodes = {"type": "scene", "integrator": cell.integrator, "sensor": cell.camera(), **cell.nodes()}
         self.cell, self.scene = cell, djpt.load_dict(nodes, optimize=False)
-        for name, value in GUIDE.items():
+        for name, value in cell.settings.items():
             if cell.integrator["type"].endswith("projective"):
                 setattr(self.scene.integrator(), name, value)
         self.params = djpt.traverse(self.scene)
@@ -139,8 +157,9 @@ class Scene:
         """The weighted sum of pixels."""
         self.cell.edit(self.start, theta)
         self.params.update()
-        image = djpt.render(self.scene, self.params, integrator=integrator, spp=self.cell.spp, seed=seed)
-        return dr.sum(image * TensorXf(WEIGHTS.astype(np.float32)), axis=None)
+        spp = self.cell.spp if integrator is None else self.cell.spp_difference or self.cell.spp
+        image = djpt.render(self.scene, self.params, integrator=integrator, spp=spp, seed=seed)
+        return dr.sum(image * TensorXf(self.cell.weights.astype(np.float32)), axis=None)
 
     def forward(self, seed: int) -> float:
         """The derivative by forward mode."""

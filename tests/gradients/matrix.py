@@ -17,6 +17,7 @@ import djpt
 from djpt.core.transforms import ScalarTransform4f as T
 from djpt.errors import RenderError
 from djpt.jit.types import Float, TensorXf
+from tests.gradients.camera_scenes import cameras_of_scenes
 from tests.gradients.cells import Cell, Edit, Node, camera_above
 from tests.kit import emitters, materials
 from tests.silhouettes.test_projective import globe
@@ -438,7 +439,7 @@ def differentiable(nodes: Callable[[], Node], start: str) -> list[str]:
 def all_cells() -> dict[str, Cell]:
     """All cells by label."""
     shapes = (moving_shapes, moving_surfaces, meeting_shapes, moving_receivers)
-    parts = (*shapes, moving_lights, cameras, cameras_over_fields, parameters)
+    parts = (*shapes, moving_lights, cameras, cameras_over_fields, cameras_of_scenes, parameters)
     return {cell.label: cell for part in parts for cell in part()}
 
 

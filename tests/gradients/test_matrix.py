@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from tests.gradients.cells import MOST_SEEDS
@@ -13,6 +15,14 @@ QUICK = (
     "a material: normalmap-diffuse, normalmap.data, prb",
     "a material: roughplastic-colour, diffuse_reflectance.value, prb",
     "a medium: homogeneous, scale, prbvolpath",
+)
+
+
+SCENES = (
+    "a camera before a scene: a textured mesh, turn, direct_projective",
+    "a camera before a scene: overlapping bodies, turn, prb_projective",
+    "a camera before a scene: a lens, turn, direct_projective",
+    "a camera before a scene: soft shadows, x_fov, direct_projective",
 )
 
 
@@ -29,6 +39,14 @@ def test_no_derivative_is_wrong(label: str) -> None:
 def test_derivatives_are_right(label: str) -> None:
     outcome = CELLS[label].measured()
     assert outcome.verdict == "right", outcome
+
+
+@pytest.mark.parametrize("label", SCENES)
+@pytest.mark.sparse(2)
+def test_cameras_before_scenes_are_right_within_the_noise_of_few_samples(label: str) -> None:
+    outcome = replace(CELLS[label], spp=64, spp_difference=256).measured(4)
+    assert outcome.verdict in ("right", "noisy"), outcome
+    assert outcome.error < 0.1 * abs(outcome.expected)
 
 
 def test_the_matrix_is_large_enough() -> None:
