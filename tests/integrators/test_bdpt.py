@@ -228,7 +228,7 @@ def test_one_connection_stands_for_all() -> None:
     a, b = means
     error = np.sqrt(a.var(0, ddof=1) / 6 + b.var(0, ddof=1) / 6)
     assert (np.abs(a.mean(0) - b.mean(0)) < 5 * error.max()).all()
-    assert error.max() < 0.01 * a.mean()
+    assert error.max() < 0.05 * a.mean()
 
 
 def test_strategies_need_a_bound() -> None:
