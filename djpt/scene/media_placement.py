@@ -19,7 +19,7 @@ from djpt.dispatch.ensemble import Ensemble, Group, Lookup, is_attached
 from djpt.dispatch.family import Family, Pointer
 from djpt.errors import SceneError
 from djpt.geometry.aggregate import Geometry, unseen
-from djpt.jit.kernels import wide
+from djpt.jit.kernels import opaque, wide
 from djpt.jit.types import Bool, Color3f, Float, Point3f, UInt32, Vector3f
 from djpt.media import tracking
 from djpt.media.differentials import ScatteringPoint
@@ -153,7 +153,7 @@ class Media:
 
     def _majority(self, p: tuple[float, ...]) -> int:
         directions = Vector3f(*(list(c) for c in zip(*DIRECTIONS, strict=True)))
-        numbers = self.at(Point3f(*p), directions).numpy()
+        numbers = self.at(opaque(Point3f(*p)), directions).numpy()
         return int(np.bincount(numbers).argmax())
 
     def at(self, p: Point3f, direction: Vector3f | None = None, outside: UInt32 | None = None) -> UInt32:

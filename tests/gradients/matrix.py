@@ -356,6 +356,29 @@ def cameras_over_fields() -> Iterator[Cell]:
             yield Cell("a camera", f"fields, {name}, {light}", nodes, moved("sensor.to_world", motion), integrator)
 
 
+def cameras_in_media() -> Iterator[Cell]:
+    """Cameras that move in fog, or before a body of a medium."""
+    edits = {name: moved("sensor.to_world", motion) for name, motion in VIEWS.items()}
+    edits["x_fov"] = number_of_camera("sensor.x_fov")
+    fog = {"type": "cube", "to_world": T().scale(9), "bsdf": {"type": "null"}, "interior": {**THIN, "sigma_t": 0.08}}
+    scenes = {f"a {name} ball": filled(name) for name in MEDIA} | {
+        "fog": stage("lamp", body=body("sphere", "diffuse"), fog=lambda: fog)
+    }
+    for scene, nodes in scenes.items():
+        for name, edit in edits.items():
+            integrator = {"type": "prbvolpath", "max_depth": 4}
+            yield Cell("a camera in media", f"{scene}, {name}", nodes, edit, integrator, spp=8192)
+    for name in ("x_fov", "aperture_radius", "focus_distance"):
+        lens = {**camera_above(), "type": "thinlens", "aperture_radius": 0.3, "focus_distance": 5.0}
+        edit, integrator = number_of_camera(f"sensor.{name}"), {"type": "volpath", "max_depth": 3}
+        camera = lambda lens=lens: lens  # noqa: E731
+        yield Cell(
+            "a camera in media", f"fog, a lens, {name}", scenes["fog"], edit, integrator, spp=8192, camera=camera
+        )
+    aside = edits["aside"]
+    yield Cell("a camera in media", "fog, orthographic, aside", scenes["fog"], aside, integrator, camera=flat_camera)
+
+
 def number_of_camera(key: str) -> Edit:
     def edit(params: Any, theta: Float) -> None:
         value = float(np.array(params[key]).ravel()[0])
@@ -404,13 +427,14 @@ def filled(name: str) -> Callable[[], Node]:
     return stage("lamp", fill=LIGHTS["sky"]()["light"], body=ball)
 
 
+THIN: Node = {
+    "type": "homogeneous",
+    "albedo": {"type": "rgb", "value": [0.8, 0.6, 0.4]},
+    "sigma_t": 1.5,
+    "phase": {"type": "hg", "g": 0.4},
+}
 MEDIA: dict[str, Callable[[], Node]] = {
-    "homogeneous": lambda: {
-        "type": "homogeneous",
-        "albedo": {"type": "rgb", "value": [0.8, 0.6, 0.4]},
-        "sigma_t": 1.5,
-        "phase": {"type": "hg", "g": 0.4},
-    },
+    "homogeneous": lambda: THIN,
     "heterogeneous": lambda: {
         "type": "heterogeneous",
         "albedo": 0.7,
@@ -439,7 +463,8 @@ def differentiable(nodes: Callable[[], Node], start: str) -> list[str]:
 def all_cells() -> dict[str, Cell]:
     """All cells by label."""
     shapes = (moving_shapes, moving_surfaces, meeting_shapes, moving_receivers)
-    parts = (*shapes, moving_lights, cameras, cameras_over_fields, cameras_of_scenes, parameters)
+    cameras_of_all = (cameras, cameras_over_fields, cameras_of_scenes, cameras_in_media)
+    parts = (*shapes, moving_lights, *cameras_of_all, parameters)
     return {cell.label: cell for part in parts for cell in part()}
 
 

@@ -225,6 +225,26 @@ def test_an_edit_compiles_no_kernel() -> None:
     assert not compiled and np.abs(before - after).max() > 0.01
 
 
+def test_a_camera_that_moves_compiles_no_kernel() -> None:
+    """Neither its image nor its derivative, wherever in the fog it stands."""
+    scene = djpt.load_dict(foggy_room(fog(0.8, 0.6), size=8))
+    params = djpt.traverse(scene)
+    place = djpt.Transform4f(params["sensor.to_world"])
+
+    def kernels(x: float, seed: int) -> set[int]:
+        step = djpt.Float(x)
+        dr.enable_grad(step)
+        params["sensor.to_world"] = place @ djpt.Transform4f().translate([step, 0, 0])
+        params.update()
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+            dr.kernel_history_clear()
+            dr.backward(dr.sum(djpt.render(scene, spp=2, seed=seed), axis=None))
+            dr.eval(dr.grad(step))
+            return {k["hash"] for k in dr.kernel_history() if k["type"] == dr.KernelType.JIT}
+
+    assert kernels(0.05, 1) == kernels(-0.03, 2)
+
+
 def test_gradients_of_walls_behind_fog() -> None:
     """By a colour that is looked up where shadow rays go through null surfaces."""
     scene = djpt.load_dict(foggy_room(fog(0.8, 0.6), size=8))
