@@ -138,7 +138,7 @@ class ADIntegrator(Integrator):
         with dr.resume_grad():
             ray, weight = sensor.attached().sample_ray_differential(time, 0, on_crop, aperture)
         if scene.media:
-            ray.medium = scene.replace(sensor=sensor).camera_medium
+            ray.medium = scene.replace(sensor=sensor).medium_of_camera(sensor, pixel, on_crop)
         # Without a filter the place on the pixel doesn't matter, and can't be rounded to the next one.
         return ray, weight, corner if film.rfilter().is_box_filter() else position
 

@@ -183,15 +183,22 @@ class Media:
         (end,) = dr.while_loop((start,), lambda walk: walk.active, step, label="medium")
         return end.medium
 
-    def of_sensor(self, sensor: Sensor) -> tuple[UInt32, UInt32 | None]:
+    def of_sensor(self, sensor: Sensor, named: Medium | None = None) -> tuple[UInt32, UInt32 | None]:
         """The media that the rays of a sensor start in, and that lies outside of all bodies; None: the vacuum.
 
-        Outside is the medium that the sensor names, if it stands there.
+        Outside is the medium that the sensor names, or else the one `named`, if it stands there. If it hands its rays
+        on to others, the first result has a number for each of these, unless they are all the same.
         """
+        named = sensor.get_medium() or named
+        several = [self.of_sensor(other, named) for other in sensor.delegates()]
+        if several:
+            starts = [int(start[0]) for start, _ in several]
+            outer = next((outside for _, outside in several if outside is not None), None)
+            return dr.opaque(UInt32, starts[0]) if len(set(starts)) == 1 else UInt32(starts), outer
         eye = sensor.viewpoint()
         if eye is not None and sensor.carrier is not None:
             eye = sensor.carrier.keyframes.at(sensor.shutter_open()).transform_point(eye)
-        given, around = self.number(sensor.get_medium()), self.around(eye)
+        given, around = self.number(named), self.around(eye)
         return self.at_sensor(given, around)
 
     def at_sensor(self, given: int, around: int) -> tuple[UInt32, UInt32 | None]:

@@ -9,6 +9,7 @@ from djpt.core.lookup import Numbers, Rows
 from djpt.core.records import BSDFFlags, Ray3f, SurfaceInteraction3f, has_flag
 from djpt.errors import SceneError
 from djpt.geometry.overlapping import OUTSIDE, OverlappingGeometry, bit_of, highest_body
+from djpt.jit.kernels import opaque
 from djpt.jit.types import Bool, Float, Point3f, UInt32, Vector3f
 from djpt.scene.media_placement import DIRECTIONS, Media, points_outward
 
@@ -72,7 +73,7 @@ class OverlappingMedia(Media):
 
     def _majority(self, p: tuple[float, ...]) -> int:
         directions = Vector3f(*(list(c) for c in zip(*DIRECTIONS, strict=True)))
-        masks, counts = np.unique(self.at(Point3f(*p), directions).numpy(), return_counts=True)
+        masks, counts = np.unique(self.at(opaque(Point3f(*p)), directions).numpy(), return_counts=True)
         return int(masks[counts.argmax()])
 
     def at_sensor(self, given: int, around: int) -> tuple[UInt32, UInt32 | None]:

@@ -18,7 +18,7 @@ from djpt.emitters.pointer import EmitterPtr
 from djpt.geometry.aggregate import Geometry
 from djpt.geometry.query import Hit
 from djpt.jit.kernels import while_loop, wide
-from djpt.jit.types import Bool, Color3f, Float, Point3f, UInt32, Vector3f
+from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.materials.pointer import BSDFPtr
 from djpt.scene.lights import BSDFs, Lights
 from djpt.scene.media_placement import Media
@@ -100,7 +100,8 @@ class SceneQueries(Plugin):
     moves: bool
     in_time: bool
     camera_medium: UInt32 | None
-    """The number of the medium that camera rays start in; None if no media are followed."""
+    """The number of the medium that camera rays start in; None if no media are followed. Of a sensor with `delegates`
+    there may be a number for each of these: see `medium_of_camera`."""
     outer_medium: UInt32 | None = None
     """The number of the medium outside of all bodies, if a sensor has one."""
     has_image_circle = False
@@ -207,6 +208,14 @@ class SceneQueries(Plugin):
     def medium_beyond(self, si: SurfaceInteraction3f, d: Vector3f) -> UInt32 | None:
         """The medium of a ray that leaves `si` in the world direction `d`."""
         return self.media.beyond(si, d) if self.media else si.medium
+
+    def medium_of_camera(self, sensor: Any, pixel: UInt32, film_position: Point2f) -> UInt32 | None:
+        """The medium that rays of a sensor start in, of pixels and places on the crop window."""
+        medium = self.camera_medium
+        if medium is None or dr.width(medium) == 1:
+            return medium
+        number = sensor.looks_through(pixel, film_position)
+        return dr.gather(UInt32, medium, number)
 
     def medium_at(self, p: Point3f) -> UInt32 | None:
         """The medium that each point lies in, for rays that begin there; None in scenes without media."""

@@ -258,7 +258,8 @@ class Scene(MitsubaScene):
 
             kind = OverlappingMedia
         self.media = self.every_medium = kind(self.geometry, self.lookup, absorbing_sides(shapes))
-        of_sensors = [sensor.get_medium() for sensor in self._sensors if sensor.get_medium() is not None]
+        sensors = [s for sensor in self._sensors for s in (sensor, *sensor.delegates())]
+        of_sensors = [sensor.get_medium() for sensor in sensors if sensor.get_medium() is not None]
         if of_sensors or any(shape.is_medium_transition() for shape in shapes):
             self.every_medium = kind(self.geometry, self.lookup, all_sides(shapes), of_sensors)
 

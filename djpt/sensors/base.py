@@ -158,6 +158,17 @@ class Sensor(SampledRays, Endpoint):
         lanes = getattr(self.to_world, "lanes", None)
         return None if lanes is None else lanes.matrix
 
+    def delegates(self) -> Sequence[Any]:
+        """The sensors that it hands its rays on to, one of them per lane; none, if it has rays of its own."""
+        return []
+
+    def looks_through(self, pixel: UInt32, film_position: Point2f) -> UInt32 | None:
+        """The number of the one of its `delegates` that looks through a place on the crop window; None if it has none.
+
+        If it has rays `by_pixel`, the pixel counts.
+        """
+        return None
+
     def members(self) -> Sequence[Any]:
         """The sensors whose `motions` place its rays: itself, or those that it hands its rays on to."""
         return [self]

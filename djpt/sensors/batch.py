@@ -97,11 +97,18 @@ class Batch(SensorGroup):
     def ray_at(
         self, time: Float, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True
     ) -> Ray3f:
-        last = len(self.sensors) - 1
-        x = film_position.x * len(self.sensors)
-        # Samples beside the film, of its border, belong to the outermost parts.
-        part = minimum(maximum(dr.floor(x), 0), last)
-        return self.ray_of(UInt32(part), Point2f(x - part, film_position.y), aperture_sample, time, active)
+        part = self._part(film_position)
+        x = film_position.x * len(self.sensors) - part
+        return self.ray_of(UInt32(part), Point2f(x, film_position.y), aperture_sample, time, active)
+
+    def looks_through(self, pixel: UInt32, film_position: Point2f) -> UInt32 | None:
+        return UInt32(self._part(film_position))
+
+    def _part(self, film_position: Point2f) -> Float:
+        """The number of the part; samples beside the film, of its border, belong to the outermost ones."""
+        count = len(self.sensors)
+        part: Float = minimum(maximum(dr.floor(film_position.x * count), 0), count - 1)
+        return part
 
 
 @dataclass

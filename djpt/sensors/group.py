@@ -62,6 +62,9 @@ class SensorGroup(Sensor):
                 sensor.shape = None  # until its shape, which is nobody's, is placed again
         self.forget()
 
+    def delegates(self) -> Sequence[Any]:
+        return self.sensors
+
     def members(self) -> Sequence[Any]:
         return [member for sensor in self.sensors for member in sensor.members()]
 

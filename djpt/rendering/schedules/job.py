@@ -159,11 +159,12 @@ class Job:
         `moment` says when, in shares of the time for which the shutter is open.
         """
         time = self._time(position, moment) if self.scene.in_time or self.sensor.moves else Float(0)
+        on_crop = position * self._inverse_crop
         if self.sensor.by_pixel:
             ray = self.camera.ray_of_pixel(pixel, offset, aperture, time)
         else:
-            ray = self.camera.ray_at(time, position * self._inverse_crop, aperture)
-        ray.medium = self.scene.camera_medium
+            ray = self.camera.ray_at(time, on_crop, aperture)
+        ray.medium = self.scene.medium_of_camera(self.sensor, pixel, on_crop)
         return ray
 
     def _time(self, position: Point2f, moment: Float) -> Float:

@@ -68,6 +68,11 @@ class FlatSensor(SensorGroup):
     def ray_of_pixel(self, pixel: UInt32, offset: Point2f, aperture_sample: Point2f, time: Float) -> Ray3f:
         return self._ray(dr.gather(UInt32, self.pixel_idx, pixel), offset, aperture_sample, time, True)
 
+    def looks_through(self, pixel: UInt32, film_position: Point2f) -> UInt32 | None:
+        return dr.gather(UInt32, self.pixel_idx, pixel) // dr.opaque(
+            UInt32, self.source_film_width * self.source_film_height
+        )
+
     def _ray(
         self, source: UInt32, offset: Point2f, aperture_sample: Point2f, time: Float, active: Bool | bool
     ) -> Ray3f:
