@@ -65,6 +65,8 @@ NOISY = """
   gap of 0.3 between them they gave -2421 +- 3 for -2418.
 * *Rough and brushed metal, mirrors, glass and plastic*: [near outlines and at grazing
   angles](theory/moving-geometry.md#smooth-surfaces) derivatives grow without bound.
+* *A lamp that is a cylinder*: all of the derivative comes from its outline as the floor sees it, which paths from
+  outlines find at random. No seed of 24 is out of line: more samples help, about 120 seeds for 3 %.
 """
 
 
