@@ -326,12 +326,18 @@ MISTAKEN = {
 """Materials that Mitsuba 3.9.1 renders wrongly."""
 
 
-SHARED = [name for name in NAMES if plugin_of(name) not in UNKNOWN_TO_MITSUBA and name not in MISTAKEN]
+SHARED = [
+    name
+    for name in NAMES
+    if plugin_of(name) not in UNKNOWN_TO_MITSUBA and name not in {*MISTAKEN, "principled-subsurface"}
+]
 """Materials that both renderers render alike."""
 
 
 def ball(material: dict[str, Any], size: int = 64, integrator: str = "path") -> dict[str, Any]:
     """A ball over a floor under a lamp and a faint sky, seen from above and from its side."""
+    # Integrators that don't follow media take no notice of it.
+    interior = {"interior": {"type": "homogeneous"}} if "subsurface" in material else {}
     return {
         "type": "scene",
         "integrator": {"type": integrator, "max_depth": 8},
@@ -352,5 +358,5 @@ def ball(material: dict[str, Any], size: int = 64, integrator: str = "path") -> 
             "to_world": T().translate([0, -1.05, 0]).rotate([1, 0, 0], -90).scale(4),
             "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.5, 0.3, 0.2]}},
         },
-        "ball": {"type": "sphere", "bsdf": material},
+        "ball": {"type": "sphere", "bsdf": material, **interior},
     }

@@ -213,8 +213,10 @@ def test_weights_are_values_over_densities(name: str, wi: Any) -> None:
 # ---------------------------------------------------------------- energy and reciprocity
 
 
-BRIGHTER = {"principled-coated": 1.1, "principled-sheen": 1.04}
-"""What reflects more than it receives, at low angles: coat and sheen are just added to what lies below."""
+BRIGHTER = {"principled-coated": 1.1, "principled-sheen": 1.04, "principled-subsurface": 1.7}
+"""What reflects more than it receives, at low angles: coat and sheen are just added to what lies below. Light enters
+bodies with `subsurface` as if its weight were 1, which is a factor of the way out.
+"""
 
 
 @pytest.mark.sparse(9)
