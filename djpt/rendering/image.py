@@ -21,6 +21,7 @@ from djpt.rendering.schedules.memory import check_memory
 from djpt.rendering.schedules.reconstruction import picture
 from djpt.rendering.settings import RenderSettings, find_integrator
 from djpt.samplers import Sampler
+from djpt.scene.instance_copies import with_copies
 from djpt.scene.normalization.normalized_scene import normalized, normalized_scene
 from djpt.scene.scene import Scene, find_sensor, require_scene
 
@@ -50,7 +51,7 @@ def film_image(scene: Scene, settings: RenderSettings) -> TensorXf:
         return image
     unused = unused_values(job.scene, parameters)
     if parameters or motion or unused:
-        require_proven(scene, job.integrator, settings.sensor)
+        require_proven(with_copies(scene) if motion else scene, job.integrator, settings.sensor)
         from djpt.rendering.gradients.choice import differentiable
 
         image = differentiable(job, how, scene, settings, parameters, motion, unused)
@@ -80,7 +81,7 @@ def image_derivative(scene: Scene, settings: RenderSettings, grad: TensorXf | No
     check_memory(job, attached=True)
     if not parameters and not motion:
         return dr.zeros(TensorXf, shape)
-    require_proven(scene, settings.integrator, settings.sensor)
+    require_proven(with_copies(scene) if motion else scene, settings.integrator, settings.sensor)
     derivative = with_motion(derivative_of(job, choose(settings.schedule, job), parameters), scene, settings, motion)
     every = [*parameters, *motion]
     return propagated(attached_image(every, [], lambda: dr.zeros(TensorXf, shape), derivative), grad)

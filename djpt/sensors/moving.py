@@ -9,6 +9,7 @@ from typing import Any
 
 import drjit as dr
 
+from djpt.core.transforms.host import ScalarTransform4f
 from djpt.core.transforms.lanes import Transform4f
 from djpt.jit.types import Float, Matrix4f, Point2f, Point3f, Vector3f
 from djpt.shapes.silhouettes.base import with_gradient
@@ -23,6 +24,7 @@ __all__ = [
     "lens_rays",
     "parallel_rays",
     "pinhole",
+    "still",
 ]
 
 MATRIX, FOCUS = "attached_matrix", "_focus_distance"
@@ -55,6 +57,23 @@ def attached_view(camera: Any) -> Any:
     with dr.resume_grad():
         for name, value in camera.moved_rays(values).items():
             setattr(view, name, with_gradient(getattr(camera, name), value))
+    return view
+
+
+def still(camera: Any) -> Any:
+    """A copy of a camera, or of a group of cameras, that stays where it is; itself if nothing has gradients."""
+    if not camera.attached_names():
+        return camera
+    view = copy.copy(camera)
+    if camera.delegates():
+        view.sensors = [still(other) for other in camera.delegates()]
+        view.forget()
+        return view
+    for name in camera.attached_names():
+        if name == MATRIX:
+            view.to_world = ScalarTransform4f(camera.to_world.matrix)
+        else:
+            setattr(view, name, dr.detach(getattr(camera, name)))
     return view
 
 

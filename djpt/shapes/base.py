@@ -376,7 +376,8 @@ def towards(ps: PositionSample3f, inverse_pdf: Float, ref: Point3f) -> Direction
     to_p = ps.p - ref
     dist_squared = dr.squared_norm(to_p)
     inv_dist = dr.rsqrt(dist_squared)
-    d = to_p * inv_dist
+    # Where the points coincide, any direction will do.
+    d = dr.select(dist_squared > 0, to_p * inv_dist, ps.n)
     weight = dr.abs(dr.dot(d, ps.n)) * dr.square(inv_dist) * inverse_pdf
     ok = (weight > 0) & (dist_squared > 0)
     return DirectionSample3f.of(

@@ -211,7 +211,8 @@ class Sphere(Shape):
         p = dr.fma(n, self.radius, self.center)
         to_p = p - ref
         dist = dr.norm(to_p)
-        d = to_p * dr.rcp(dist)
+        # From a point of the sphere itself all of the cap is this point.
+        d = dr.select(dist > 0, to_p * dr.rcp(dist), to_center * inv_dist)
         from_area = dr.abs(dr.dot(d, n)) * self.area * dr.rcp(dr.square(dist))
         weight = dr.select(outside, solid_angle, from_area)
         ok = (dist > 0) & (weight > 0)

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import drjit as dr
 
 from djpt.core.records import DirectionSample3f, Interaction3f, Ray3f, RayFlags, SurfaceInteraction3f
 from djpt.description.properties import Properties
+from djpt.dispatch.ensemble import Attached
 from djpt.films.base import FilmFlags
-from djpt.integrators.ad_integrator import RBIntegrator, attached, modes, propagate
+from djpt.integrators.ad_integrator import UNBOUNDED, RBIntegrator, attached, modes, propagate
 from djpt.integrators.projective.beams import BeamSides, has_sides
 from djpt.integrators.projective.circles import edge_of_circle
 from djpt.integrators.projective.detail import ProjectiveDetail
 from djpt.integrators.projective.film_edges import FilmEdges
+from djpt.integrators.projective.moving_camera import parts_of_image
 from djpt.integrators.projective.path_edges import path_edges
 from djpt.integrators.projective.reattach import delta_lights, has_mirrors
 from djpt.integrators.projective.receivers import followed, only_lamps_shine, outlined, shadowed_lamps
@@ -21,12 +24,16 @@ from djpt.integrators.projective.self_views import Approach
 from djpt.integrators.projective.shadows import LampShadows, ShadowEdges
 from djpt.integrators.projective.splat import attached_splat, keep
 from djpt.integrators.projective.spread import lens_points, spread
+from djpt.integrators.volpath import VolumetricPath
 from djpt.jit.frozen import recording
 from djpt.jit.types import Bool, Color3f, Float, Point2f, TensorXf, UInt32
 from djpt.rendering.gradients.meetings import meeting_pairs
+from djpt.rendering.gradients.unproven import Rendering, moves
+from djpt.rendering.gradients.unproven_cameras import CAMERA_CASES
 from djpt.samplers.base import Sampler
 from djpt.scene.scene import Scene, find_sensor
 from djpt.sensors.base import Sensor
+from djpt.sensors.moving import still
 from djpt.shapes.silhouettes.foreground import foreground, toward_viewer
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 from djpt.textures.patches import Patches, have_patches
@@ -193,6 +200,17 @@ class PSIntegrator(RBIntegrator):
         with attached(self, scene, dr.ADMode.Forward, camera) as scene:
             total = dr.zeros(TensorXf, self._shape(camera))
             within, _, _ = self._counts(camera, spp)
+            if self._moves_alone(scene, camera, spp):
+                for part in self._of_moving_camera(scene, camera, seed, within):
+                    with dr.resume_grad():
+                        image = part()
+                        if dr.grad_enabled(image):
+                            dr.forward_to(image, flags=dr.ADFlag.ClearInterior)
+                            total += dr.grad(image)
+                            dr.eval(total)
+                if nothing_else(scene):
+                    return total
+                camera = still(camera)
             if self.radiative_backprop and within:
                 total += super().render_forward(scene, params, camera, seed, within)
             with dr.resume_grad():
@@ -208,6 +226,16 @@ class PSIntegrator(RBIntegrator):
         camera = find_sensor(scene, sensor)
         with attached(self, scene, dr.ADMode.Backward, camera) as scene:
             within, _, _ = self._counts(camera, spp)
+            if self._moves_alone(scene, camera, spp):
+                for part in self._of_moving_camera(scene, camera, seed, within):
+                    with dr.resume_grad():
+                        image = part()
+                        if dr.grad_enabled(image):
+                            propagate(image, grad_in)
+                    dr.eval()
+                if nothing_else(scene):
+                    return
+                camera = still(camera)
             if self.radiative_backprop and within:
                 super().render_backward(scene, params, grad_in, camera, seed, within)
             with dr.resume_grad():
@@ -217,10 +245,36 @@ class PSIntegrator(RBIntegrator):
         dr.eval()
 
     def attached_image(self, scene: Scene, sensor: Any, seed: Any, spp: int) -> TensorXf | None:
-        within, _, _ = self._counts(find_sensor(scene, sensor), spp)
-        if self.radiative_backprop and within:
+        camera = find_sensor(scene, sensor)
+        within, _, _ = self._counts(camera, spp)
+        if (self.radiative_backprop and within) or self._moves_alone(scene, camera, spp):
             return None
         return self.render_ad(scene, sensor, seed, spp, dr.ADMode.Backward)
+
+    def _moves_alone(self, scene: Scene, camera: Sensor, spp: int) -> bool:
+        """Whether a camera moves, nothing else does, and derivatives by vertices that stay are possible and pay.
+
+        In the light of emitters alone those by hits that slide have less noise, unless there are edges of textures to
+        find. In indirect light theirs has no bound where surfaces touch.
+        """
+        if not camera.attached_names() or moves(scene, None) or recording() or 0 in self._counts(camera, spp):
+            return False
+        indirect = not self.direct_light_only and self.max_depth > 2
+        if not indirect and not Patches(scene.shapes()).are_textured:
+            return False
+        rendering = Rendering.of(scene, self, camera)
+        return not any(True for case in CAMERA_CASES for _ in case.found(rendering))
+
+    def _of_moving_camera(self, scene: Scene, camera: Sensor, seed: Any, spp: int) -> Iterator[Callable[[], TensorXf]]:
+        """Functions that make the parts of the image that the camera moves: see `moving_camera`."""
+        depth = min(self.max_depth, 2) if self.direct_light_only else self.max_depth
+        entries = {
+            "max_depth": -1 if depth == UNBOUNDED else depth,
+            "rr_depth": self.rr_depth,
+            "hide_emitters": self.hide_emitters,
+        }
+        paths = VolumetricPath(Properties("volpath", "integrator", entries))
+        return parts_of_image(paths, scene, camera, spp, seed)
 
     def _shape(self, sensor: Sensor) -> tuple[int, int, int]:
         """The shape of the image."""
@@ -428,6 +482,11 @@ class PSIntegrator(RBIntegrator):
         """The radiance along rays, or from surface points."""
         options = {**modes(dr.ADMode.Primal, scene, sampler, ray), "depth": depth, "active": Bool(active)}
         return Color3f(self.sample(**options, δL=None, δaovs=None, state_in=None, si_shade=si)[0])
+
+
+def nothing_else(scene: Scene) -> bool:
+    """Whether a view reads no values with gradients; shapes and cameras that move aren't asked."""
+    return isinstance(scene.lookup, Attached) and not scene.lookup.variables()
 
 
 def shapes_meet(scene: Scene, moving: list[Any]) -> bool:

@@ -185,6 +185,13 @@ def room() -> Node:
     return {key: node for key, node in djpt.cornell_box().items() if key not in ("type", "integrator", "sensor")}
 
 
+def foggy() -> Node:
+    """The same in fog, with the camera in it."""
+    medium = {"type": "homogeneous", "sigma_t": 0.15, "albedo": 0.9, "phase": {"type": "hg", "g": 0.5}}
+    fog = {"type": "cube", "to_world": T().scale(6), "bsdf": {"type": "null"}, "interior": medium}
+    return {**room(), "fog": fog}
+
+
 def instances() -> Node:
     """Copies of a group of shapes, in parallel light and under a sky."""
     first = placed("one", T().translate([-0.8, 0.2, 1.1]).rotate([0.6, 0.8, 0], 30))
@@ -230,6 +237,7 @@ VIEWS = {
     "a mirror": View(mirror, PINHOLE, MOTIONS | ZOOM, (paths(4),)),
     "a room": View(room, INSIDE, MOTIONS | ZOOM, (paths(6),)),
     "a lens": View(overlaps, THICK, MOTIONS | ZOOM | LENS, (DIRECT,)),
+    "a room in fog": View(foggy, INSIDE, MOTIONS | ZOOM, ({"type": "volpath", "max_depth": 4},)),
     "instances": View(instances, WIDE, MOTIONS | FISHEYE, (paths(2),)),
 }
 

@@ -242,6 +242,7 @@ def test_a_camera_that_moves_compiles_no_kernel() -> None:
             dr.eval(dr.grad(step))
             return {k["hash"] for k in dr.kernel_history() if k["type"] == dr.KernelType.JIT}
 
+    kernels(0.02, 3)  # some of what the first one makes is kept
     assert kernels(0.05, 1) == kernels(-0.03, 2)
 
 

@@ -1,8 +1,6 @@
 """Derivatives of images with respect to the motion of a camera, by integrators that follow light through media.
 
-All vertices of a path stay where they are, and what moves is their place on the film: see "Cameras in media" in
-`docs/theory/moving-geometry.md`. Three estimates are added up: of vertices within the film, of those at its border, or
-at that of each pixel if the filter is a box, and of outlines, behind which vertices appear and disappear.
+See `djpt.integrators.projective.moving_camera`.
 """
 
 from __future__ import annotations
@@ -13,37 +11,16 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.core.records import SHADOW_EPSILON, BSDFFlags, Interaction3f, Ray3f
 from djpt.errors import RenderError
-from djpt.films.moving_samples import moving_samples
-from djpt.integrators.paths.transmittance import way_through
-from djpt.integrators.projective.film_geometry import place_on_film, swept_area, viewpoint_of
-from djpt.integrators.projective.first_vertex import FirstVertex
-from djpt.integrators.projective.outlines import Outlines
-from djpt.integrators.projective.spread import lens_points, spread
+from djpt.integrators.projective.moving_camera import parts_of_image
 from djpt.jit.frozen import recording
-from djpt.jit.types import Bool, Color3f, Float, Point2f, TensorXf, UInt32
+from djpt.jit.types import TensorXf
 from djpt.rendering.gradients.leaves import Parameter
 from djpt.rendering.settings import RenderSettings
 from djpt.scene.scene import Scene
-from djpt.shapes.silhouettes.foreground import foreground
 from djpt.shapes.silhouettes.moving import exchanged
-from djpt.shapes.silhouettes.seams import turns_dark
 
 __all__ = ["CameraInMedia"]
-
-WITHIN_SEED, BORDER_SEED, OUTLINE_SEED, LENS_SEED, NEAR_SEED = 0x0, 0x66666666, 0x99999999, 0x55555555, 0x33333333
-"""Combined with the seed of the image, for samples of their own."""
-
-CLOSE = 0.25
-"""The distance, in radii of the scene, within which vertices in a medium are sampled by themselves: the closer they are
-to the camera, the faster they move on the film."""
-
-AHEAD = 1e-3
-"""The distance from the near plane at which vertices stand for those on it, in those of the plane."""
-
-MOST_LANES = 1 << 21
-"""The samples of a pass, at most, unless there are more pixels."""
 
 
 class CameraInMedia:
@@ -102,199 +79,8 @@ class CameraInMedia:
 
     def _images(self) -> Iterator[tuple[list[Any], TensorXf]]:
         """The parts of the image, whose values are 0, each attached to leaves of its own."""
-        for number in range(len(self._sensor.parts())):
-            for share in self._shares():
-                for term in (within, at_borders, at_near_plane, at_outlines):
-                    with dr.resume_grad(), self._leaves() as fresh:
-                        camera = self._sensor.attached().parts()[number]
-                        scene = self._scene.replace(sensor=self._sensor.parts()[number])
-                        spp, seed = share
-                        part = term(Samples(self._integrator, scene, camera, spp, seed ^ number, self._spp))
-                        if dr.grad_enabled(part):
-                            yield fresh, part
-
-    def _shares(self) -> Iterator[tuple[int, Any]]:
-        """The samples per pixel of each pass, and its seed."""
-        width, height = self._sensor.film().crop_size()
-        most = max(1, MOST_LANES // (width * height))
-        for number, done in enumerate(range(0, self._spp, most)):
-            yield min(most, self._spp - done), self._seed + 0x9E37 * number
-
-
-class Samples:
-    """What the three estimates of a pass are made of."""
-
-    def __init__(self, integrator: Any, scene: Scene, camera: Any, spp: int, seed: Any, total: int) -> None:
-        self.integrator, self.scene, self.camera = integrator, scene, camera
-        self.spp, self.seed, self.total = spp, seed, total
-        self.film = camera.canvas or camera.film()
-        self.window = camera.film().crop_size()
-        self.by_pixel = self.film.rfilter().is_box_filter()
-        medium = scene.camera_medium
-        self.in_medium = medium is not None and bool(dr.any(scene.media.fill(medium)))
-
-    def sampler(self, salt: int, spp: int) -> Any:
-        """The random numbers of `spp` samples per pixel."""
-        width, height = self.window
-        return self.camera.sampler().begun(self.seed ^ salt, spp, width * height)
-
-    def corners(self, lanes: int) -> Point2f:
-        """The corners of pixels on the crop window, of each as often as it has samples."""
-        pixel = dr.arange(UInt32, lanes) // dr.opaque(UInt32, self.spp)
-        row = pixel // dr.opaque(UInt32, self.window[0])
-        return Point2f(Float(pixel - row * self.window[0]), Float(row))
-
-    def lens(self, sampler: Any) -> Any:
-        """The camera, of one with a lens what is seen through a random point of it in each lane."""
-        return self.camera.through_lens(sampler.next_2d()) if self.camera.needs_aperture_sample() else self.camera
-
-    def first_vertices(self, camera: Any, sampler: Any, place: Point2f) -> list[FirstVertex]:
-        """What is seen at places on the crop window, in [0, 1)^2: all but media close to the camera, and these."""
-        with dr.suspend_grad():
-            ray = dr.detach(camera.ray_through(place, Point2f(0)))
-            ray.medium = self.scene.camera_medium
-            clear = CLOSE * float(self.scene.bounding_sphere()[1]) if self.in_medium else 0.0
-            found = [FirstVertex.seen(self.integrator, self.scene, sampler, ray, True, clear)]
-            if self.in_medium:
-                start = dr.norm(ray.o - camera.origin) if camera.is_central else Float(clear)
-                found.append(FirstVertex.close_by(self.integrator, self.scene, sampler, ray, dr.detach(start), clear))
-            dr.eval(found)
-            return found
-
-    def image(self, place: Point2f, color: Color3f, lanes: int, active: Bool | bool = True) -> TensorXf:
-        """The image of samples, some per pixel, at places on the crop window, in pixels."""
-        width, height = self.window
-        # Each pass has a share of the samples.
-        weight = width * height / lanes * (self.spp / self.total)
-        measured = color if self.camera.weight == 1 else color * self.camera.weight
-        place = place + Point2f(self.camera.column, 0)
-        return moving_samples(self.film, place, self.film.tangent_channels(measured), active, weight)
-
-
-def within(samples: Samples) -> TensorXf:
-    """The image of vertices that are seen in random places of the film."""
-    sampler = samples.sampler(WITHIN_SEED, samples.spp)
-    window = Point2f(samples.window)
-    with dr.suspend_grad():
-        corner = samples.corners(sampler.wavefront_size())
-        place = (corner + sampler.next_2d()) / window
-    camera = samples.lens(sampler)
-    total = dr.zeros(TensorXf)
-    for vertex in samples.first_vertices(camera, sampler, place):
-        color, seen = vertex.attached(samples.scene, camera, sampler.next_1d())
-        # Of a box the derivative is 0 within, and all at its border.
-        moved = corner + 0.5 if samples.by_pixel else (place + (seen - dr.detach(seen))) * window
-        total = total + samples.image(moved, color, sampler.wavefront_size())
-    return total
-
-
-def at_borders(samples: Samples) -> TensorXf:
-    """The image of vertices at the border of the film, or of each pixel, which move in and out."""
-    sampler = samples.sampler(BORDER_SEED, samples.spp if samples.by_pixel else -(-samples.spp // 4))
-    lanes = sampler.wavefront_size()
-    window = Point2f(samples.window)
-    with dr.suspend_grad():
-        size, corner = (Point2f(1), samples.corners(lanes)) if samples.by_pixel else (window, Point2f(0))
-        # Left and right, upper and lower sides, in proportion to their lengths.
-        perimeter, chance, along = 2 * (size.x + size.y), sampler.next_1d(), sampler.next_1d()
-        chance *= perimeter
-        upright = chance < 2 * size.y
-        right_or_below = dr.select(upright, chance >= size.y, chance >= 2 * size.y + size.x)
-        end, side = dr.select(right_or_below, Float(1), 0), dr.select(right_or_below, Float(1), -1)
-        place = corner + size * dr.select(upright, Point2f(end, along), Point2f(along, end))
-        outward = dr.select(upright, Point2f(side, 0), Point2f(0, side))
-    camera = samples.lens(sampler)
-    total = dr.zeros(TensorXf)
-    for vertex in samples.first_vertices(camera, sampler, place / window):
-        seen = place_on_film(camera, vertex.place(camera))
-        leaving = dr.dot(window * (seen - dr.detach(seen)), outward)
-        color = vertex.radiance * (leaving * (perimeter / (size.x * size.y)))
-        if not samples.by_pixel:
-            total = total + samples.image(place, -color, lanes)
-            continue
-        # What leaves a pixel comes into the next one, and their common side is chosen from both.
-        middle = corner + 0.5
-        beyond = middle + outward
-        shared = (beyond.x > 0) & (beyond.y > 0) & (beyond.x < window.x) & (beyond.y < window.y)
-        color *= dr.select(shared, 0.5, 1)
-        total = total + samples.image(middle, -color, lanes) + samples.image(beyond, color, lanes, shared)
-    return total
-
-
-def at_near_plane(samples: Samples) -> TensorXf:
-    """The image of vertices in a medium at the near plane of the camera, which moves over them."""
-    if not samples.in_medium:
-        return dr.zeros(TensorXf)
-    sampler = samples.sampler(NEAR_SEED, -(-samples.spp // 4))
-    camera = samples.lens(sampler)
-    with dr.suspend_grad():
-        place = sampler.next_2d()
-        ray = dr.detach(camera.ray_through(place, Point2f(0)))
-        ray.medium = samples.scene.camera_medium
-        # A little ahead: at the plane itself, rounding decides whether a point is seen.
-        t = AHEAD * (dr.norm(ray.o - camera.origin) if camera.is_central else Float(1))
-        vertex = FirstVertex.at_distance(samples.integrator, samples.scene, sampler, ray, t)
-        dr.eval(place, vertex)
-    distance = camera.sample_wi(vertex.p, Point2f(0))[0].dist
-    color = vertex.radiance * (distance - dr.detach(distance))
-    return samples.image(place * Point2f(samples.window), color, sampler.wavefront_size())
-
-
-def at_outlines(samples: Samples) -> TensorXf:
-    """The image of vertices that outlines cover and uncover, and of seams of smooth meshes."""
-    shapes = outlined(samples)
-    total = dr.zeros(TensorXf)
-    if not shapes:
-        return total
-    scene = samples.scene.replace(silhouettes_of=shapes)
-    with_seams = any(turns_dark(shape) for shape in shapes)
-    points = lens_points(samples.camera, samples.seed ^ LENS_SEED, samples.spp)
-    for number, point in enumerate(points):
-        camera = samples.camera.through_lens(point)
-        with dr.suspend_grad():
-            sampler = samples.sampler(OUTLINE_SEED - number, -(-samples.spp // len(points)))
-            viewpoint = dr.detach(viewpoint_of(scene, camera))
-            outlines = Outlines(shapes, viewpoint, with_seams=True)
-            ss = outlines.sample(spread(sampler))
-            active = ss.is_valid() & (ss.pdf > 0)
-            it = dr.zeros(Interaction3f)
-            it.p = ss.p
-            ds, importance = dr.detach(camera.sample_wi(ss.p, Point2f(0)))
-            start = ss.toward_viewer().spawn_ray().o
-            sight = Ray3f(ds.p, start - ds.p, maxt=Float(1 - SHADOW_EPSILON), medium=scene.camera_medium)
-            left, medium = way_through(scene, sampler, sight, active & (importance > 0))
-            active &= dr.max(left) > 0
-            beyond = ss.spawn_ray()
-            beyond.medium = medium
-            back = FirstVertex.seen(samples.integrator, scene, sampler.clone(), beyond, active)
-            front = None
-            if with_seams:
-                si, known = foreground(scene, shapes, ss, active)
-                front = FirstVertex.on_surface(samples.integrator, scene, sampler, beyond, si, active & known)
-            weight = dr.select(active, left / ss.pdf, 0)
-            dr.eval(ss, active, weight, back, front, ds.uv)
-        edge = change_on_film(camera, outlines.follow(ss, active, viewpoint_of(scene, camera)))
-        color = Color3f(0)
-        for vertex, sign in ((back, -1), (front, 1)):
-            if vertex is not None:
-                passing = edge - change_on_film(camera, vertex.place(camera))
-                color += vertex.radiance * (sign * swept_area(camera, ss, passing))
-        place = ds.uv * Point2f(samples.window)
-        total = total + samples.image(place, color * weight, sampler.wavefront_size() * len(points), active)
-    return total
-
-
-def change_on_film(camera: Any, p: Any) -> Point2f:
-    """The motion of points on the film, a unit square: 0, attached."""
-    place = place_on_film(camera, p)
-    return Point2f(place - dr.detach(place))
-
-
-def outlined(samples: Samples) -> list[Any]:
-    """The shapes that hide what is behind them."""
-    return [
-        shape
-        for shape in samples.scene.silhouettes.outlined()
-        if not (int(shape.bsdf().flags()) & int(BSDFFlags.Null))
-        and not (samples.integrator.hide_emitters and shape.emitter() is not None)
-    ]
+        for part in parts_of_image(self._integrator, self._scene, self._sensor, self._spp, self._seed):
+            with dr.resume_grad(), self._leaves() as fresh:
+                image = part()
+                if dr.grad_enabled(image):
+                    yield fresh, image

@@ -64,8 +64,10 @@ def with_motion(rest: Derivative, scene: Scene, settings: RenderSettings, motion
         return rest
     # Few images need what follows a camera.
     from djpt.rendering.gradients.camera_in_media import CameraInMedia
+    from djpt.scene.instance_copies import with_copies
 
-    return SumOfDerivatives(rest, CameraInMedia(scene.replace(all_media=True), settings, motion), len(motion))
+    view = with_copies(scene).replace(all_media=True)
+    return SumOfDerivatives(rest, CameraInMedia(view, settings, motion), len(motion))
 
 
 def derivative_of(samples: Job, schedule: Schedule, parameters: list[Parameter]) -> Derivative:
