@@ -11,7 +11,7 @@ from djpt.integrators.base import Integrator
 from djpt.jit.kernels import begin_trace
 from djpt.jit.types import Float, TensorXf
 from djpt.rendering.gradients.leaves import Parameter, attached_parameters, prepare_tables, unused_values
-from djpt.rendering.gradients.unproven import require_proven
+from djpt.rendering.gradients.refusals import require_proven
 from djpt.rendering.known_images import known_or
 from djpt.rendering.schedules.base import Schedule
 from djpt.rendering.schedules.called_sums import prepare_sums

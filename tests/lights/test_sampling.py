@@ -372,3 +372,17 @@ def test_unseen_lights_are_named() -> None:
     scene = floor_scene({"beam": entry("directionalarea-rectangle")}, size=4)
     with pytest.warns(UserWarning, match=r"can't show light .* one direction only: beam\.emitter stays black"):
         djpt.render(djpt.load_dict(scene), spp=1)
+
+
+@pytest.mark.parametrize("shape", ["sphere", "rectangle", "disk", "cylinder", "cube"])
+def test_points_of_the_lamp_itself(shape: str) -> None:
+    """Light is finite, and so is the direction to it, if the point that is lit is the one that is drawn."""
+    lamp = {"type": shape, "emitter": {"type": "area", "radiance": 1.0}}
+    scene = djpt.load_dict({"type": "scene", "lamp": lamp})
+    rng = np.random.default_rng(0)
+    samples = djpt.Point2f(rng.random((2, 4096)).astype(np.float32))
+    drawn = scene.shapes()[0].sample_position(0.0, samples)
+    it = dr.zeros(djpt.SurfaceInteraction3f, 4096)
+    it.p, it.n = drawn.p, drawn.n
+    ds, weight = scene.sample_emitter_direction(it, samples, False)
+    assert np.isfinite(np.array(ds.d)).all() and np.isfinite(np.array(weight)).all()

@@ -13,8 +13,9 @@ from djpt.jit.frozen import recording
 from djpt.jit.types import TensorXf
 from djpt.rendering.gradients.derivatives import attached_image, propagated
 from djpt.rendering.gradients.leaves import Parameter, attached_parameters, motion_parameters
+from djpt.rendering.gradients.refusals import require_proven
 from djpt.rendering.gradients.self_intersections import warn_of_self_intersections
-from djpt.rendering.gradients.unproven import moves, require_proven
+from djpt.rendering.gradients.unproven import moves
 from djpt.rendering.known_images import known_or, linearising
 from djpt.rendering.schedules.job import image_channels
 from djpt.rendering.settings import RenderSettings

@@ -1,8 +1,8 @@
-"""The cases in which derivatives are known to be wrong, and their refusal.
+"""The cases in which derivatives are known to be wrong.
 
 Estimators of derivatives by the place of shapes leave out some of what changes in an image as a shape moves. Each case
-here has been compared with closed forms or finite differences and was off, without a sign. `require_proven` refuses
-them; integrators whose `unproven_gradients` is true go on.
+here has been compared with closed forms or finite differences and was off, without a sign. They are refused
+(`djpt.rendering.gradients.refusals`), unless an integrator's `unproven_gradients` is true.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ import numpy as np
 from djpt.core.records import BSDFFlags, EmitterFlags, has_flag
 from djpt.description.plugin import Plugin
 from djpt.description.registry import name_of
-from djpt.errors import RenderError
 from djpt.jit.frozen import recording
 from djpt.jit.types import Point2f
 from djpt.rendering.gradients.meetings import meeting_pairs
@@ -42,7 +41,6 @@ __all__ = [
     "named",
     "nested_bsdfs",
     "of_lobes",
-    "require_proven",
     "unknown_outlines",
     "without_silhouettes",
 ]
@@ -413,39 +411,3 @@ def moves(scene: Scene, sensor: Sensor | None) -> bool:
         *(e.is_moving() for e in scene.emitters()),
     )
     return any(movers) or bool(sensor and sensor.attached_names())
-
-
-def require_proven(scene: Scene, integrator: Integrator, sensor: Sensor | None = None) -> None:
-    """Refuse derivatives that are known to be wrong, unless `integrator.unproven_gradients` is true.
-
-    Called where derivatives of an image are asked for, with the scene whose parameters have gradients.
-
-    Raises:
-        RenderError: It names the nodes, what is wrong, and what can be done.
-    """
-    if integrator.unproven_gradients:
-        return
-    rendering = Rendering.of(scene, integrator, sensor)
-    movers = rendering.movers() or [emitter for emitter in scene.emitters() if emitter.is_moving()]
-    if not movers:
-        return
-    what = f"'{movers[-1].id()}' moves with parameters that have gradients"
-    cases = CASES
-    if rendering.camera is not None and integrator.follows_camera:
-        from djpt.rendering.gradients.unproven_cameras import CAMERA_CASES  # few cameras move in media
-
-        cases = CAMERA_CASES
-    for case in cases:
-        if case.needs_numbers and recording():
-            continue
-        node = next(case.found(rendering), None)
-        if node is not None:
-            raise refusal(what, f"{node}, and {case.reason}", case.way_out)
-
-
-def refusal(what: str, why: str, way_out: str) -> RenderError:
-    """The error for a case."""
-    return RenderError(
-        f"{what}, but the derivatives would be wrong: {why}. Possible: {way_out}; or, to get them all the same, set "
-        "'unproven_gradients' of the integrator to true"
-    )
