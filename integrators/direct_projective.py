@@ -10,6 +10,7 @@ from djpt.core.records import BSDFContext, BSDFFlags, DirectionSample3f, Interac
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
 from djpt.errors import RenderError
+from djpt.integrators.projective.kept import keep
 from djpt.integrators.projective.projective_sampling import PSIntegrator
 from djpt.integrators.projective.reattach import (
     attached_light,
@@ -21,7 +22,6 @@ from djpt.integrators.projective.reattach import (
     relative,
 )
 from djpt.integrators.projective.self_views import following, sees_itself
-from djpt.integrators.projective.splat import keep
 from djpt.integrators.projective.weights import mis_weight
 from djpt.jit.types import Bool, Color3f, Float, Point2f, UInt32
 from djpt.materials.base import eval_pdf_light

@@ -29,7 +29,7 @@ def moving_samples(
     pixel. With a filter that jumps at its edges, such as the box, places have no derivatives.
 
     Args:
-        film: the film, without `sample_border`.
+        film: the film.
         place: the places on the crop window, in pixels.
         channels: the values.
         active: the samples that count.
@@ -37,13 +37,13 @@ def moving_samples(
     """
     width, height = film.crop_size()
     image = dr.custom(MovingSamples, place, list(channels), film.rfilter(), (height, width), Bool(active))
-    inverse = weight / np.multiply.outer(*(coverage(film.rfilter(), n) for n in (height, width)))
+    inverse = weight / np.multiply.outer(*(coverage(film.rfilter(), n, film.border) for n in (height, width)))
     return image * TensorXf(np.repeat(inverse[..., None], len(channels), axis=2).astype(np.float32))
 
 
-def coverage(rfilter: Any, count: int) -> Any:
-    """The integral of a filter over the film, along an axis of `count` pixels, by the pixel at its middle."""
-    x = (np.arange(count * STEPS) + 0.5) / STEPS
+def coverage(rfilter: Any, count: int, border: int) -> Any:
+    """The integral of a filter over an axis of the film, of `count` pixels and a border, by the pixel at its middle."""
+    x = (np.arange((count + 2 * border) * STEPS) + 0.5) / STEPS - border
     reach = rfilter.border_size()
     result = np.empty(count)
     inner = None

@@ -48,11 +48,6 @@ class Patches:
         """Whether any shape has more than one patch."""
         return bool(self._textures) or any(self._turns.values())
 
-    @property
-    def are_textured(self) -> bool:
-        """Whether there are others than those on both sides of seams."""
-        return bool(self._textures)
-
     def number(self, si: SurfaceInteraction3f) -> UInt32:
         """The number of the patch of a hit; 0 for shapes that have only one."""
         found = UInt32(0)

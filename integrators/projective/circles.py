@@ -7,7 +7,7 @@ from typing import Any
 import drjit as dr
 
 from djpt.integrators.projective.detail import detached
-from djpt.integrators.projective.splat import keep
+from djpt.integrators.projective.kept import keep
 from djpt.integrators.projective.spread import spread
 from djpt.jit.types import Bool, Color3f, Float, Point2f, UInt32
 

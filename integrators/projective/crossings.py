@@ -19,8 +19,8 @@ from typing import Any
 import drjit as dr
 
 from djpt.core.records import Ray3f, SurfaceInteraction3f
+from djpt.integrators.projective.kept import keep
 from djpt.integrators.projective.smooth_chains import Chains, side_of
-from djpt.integrators.projective.splat import keep
 from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point3f, UInt32, Vector2f, Vector3f
 from djpt.textures.patches import adjoin
 

@@ -24,10 +24,10 @@ from djpt.integrators.projective.guiding import (
     UniformDistr,
     places_of,
 )
+from djpt.integrators.projective.kept import keep
 from djpt.integrators.projective.outlines import Outlines
 from djpt.integrators.projective.projection import ProjectOperation
 from djpt.integrators.projective.receivers import Receiver, light_of_lamps
-from djpt.integrators.projective.splat import keep
 from djpt.jit.frozen import recording
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32
 from djpt.sensors.mapped import MappedCamera

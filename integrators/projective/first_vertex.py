@@ -36,6 +36,9 @@ if TYPE_CHECKING:
 __all__ = ["FirstVertex"]
 
 
+RARE = 1e-30
+"""The density of a direction whose light is left to light sampling."""
+
 NEAR = 2.0
 """The distance at which an environment's place on the film is asked for, in those of the near plane."""
 
@@ -129,8 +132,9 @@ class FirstVertex:
         ray: Ray3f,
         active: Bool | bool = True,
         clear: float = 0.0,
+        indirect: bool = False,
     ) -> FirstVertex:
-        """Follow paths that begin with given rays, each in its medium.
+        """Follow paths that begin with given rays, each in its medium; light of emitters is left out if `indirect`.
 
         Where that medium scatters light within the distance `clear`, and before the first surface, is left out.
         """
@@ -140,7 +144,8 @@ class FirstVertex:
         last = Ray3f(way.o, ray.d, maxt=ray.maxt - way.flown, medium=way.medium)
         sampler, state = way.sampler, way.state
         si = integrator.trace(scene, state, last)
-        return FirstVertex._of(integrator, scene, sampler, state, ray.o, last, si, way.flight, way.passage, active)
+        flight, passage = way.flight, way.passage
+        return FirstVertex._of(integrator, scene, sampler, state, ray.o, last, si, flight, passage, active, indirect)
 
     @staticmethod
     def close_by(
@@ -189,14 +194,21 @@ class FirstVertex:
 
     @staticmethod
     def on_surface(
-        integrator: VolumetricPath, scene: Scene, sampler: Any, ray: Ray3f, si: SurfaceInteraction3f, active: Bool
+        integrator: VolumetricPath,
+        scene: Scene,
+        sampler: Any,
+        ray: Ray3f,
+        si: SurfaceInteraction3f,
+        active: Bool,
+        indirect: bool = False,
     ) -> FirstVertex:
         """Follow paths that begin at surface points `si`, seen along rays, with nothing between."""
         state = integrator.begin(scene, sampler)
         assert isinstance(state, VolumetricPathState)
         si = si.replaced(media=() if ray.medium is None else (ray.medium,))
         passage = nothing_passed(scene, dr.width(ray, si))
-        return FirstVertex._of(integrator, scene, sampler, state, ray.o, ray, si, Flight.none(), passage, active)
+        nothing = Flight.none()
+        return FirstVertex._of(integrator, scene, sampler, state, ray.o, ray, si, nothing, passage, active, indirect)
 
     @staticmethod
     def _of(
@@ -210,14 +222,20 @@ class FirstVertex:
         flight: Flight,
         passage: Passage,
         active: Bool | bool,
+        indirect: bool = False,
     ) -> FirstVertex:
         """The vertex at the end of a flight along the `last` part of a ray from `o`, and the rest of its path."""
         v = integrator.arrive(scene, sampler, state, last, si, flight)
-        reflected = integrator.transmittance(scene, sampler, v)
-        (onward,), _ = trace_path(integrator, scene, sampler, v.ray, Bool(active) & v.active, state=v.state)
+        emitted, reflected, onward_state = v.emitted, Color3f(0), v.state
+        if indirect:
+            # As if light sampling had all of what the next ray meets.
+            emitted, onward_state = Color3f(0), replace(v.state, bsdf_pdf=Float(RARE))
+        else:
+            reflected = integrator.transmittance(scene, sampler, v)
+        (onward,), _ = trace_path(integrator, scene, sampler, v.ray, Bool(active) & v.active, state=onward_state)
         at = vertex_of(last, si, flight)
         far = ~at.is_valid()
-        parts = (v.emitted, reflected, onward)
+        parts = (emitted, reflected, onward)
         emitted, reflected, onward = (Color3f(dr.select(Bool(active), part, 0)) for part in parts)
         return FirstVertex(
             o=Point3f(o),

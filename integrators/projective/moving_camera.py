@@ -41,7 +41,9 @@ MOST_LANES = 1 << 21
 """The samples of a pass, at most, unless there are more pixels."""
 
 
-def parts_of_image(integrator: Any, scene: Any, sensor: Any, spp: int, seed: Any) -> Iterator[Callable[[], TensorXf]]:
+def parts_of_image(
+    integrator: Any, scene: Any, sensor: Any, spp: int, seed: Any, indirect: bool = False
+) -> Iterator[Callable[[], TensorXf]]:
     """Functions that make the parts of an image, whose values are 0, attached to what places the camera then.
 
     Args:
@@ -50,6 +52,7 @@ def parts_of_image(integrator: Any, scene: Any, sensor: Any, spp: int, seed: Any
         sensor: the camera, or a batch.
         spp: the samples per pixel.
         seed: their seed.
+        indirect: whether light of emitters is left out, seen by the camera or by what it sees; in scenes without media.
     """
     width, height = sensor.film().crop_size()
     most = max(1, MOST_LANES // (width * height))
@@ -58,7 +61,7 @@ def parts_of_image(integrator: Any, scene: Any, sensor: Any, spp: int, seed: Any
         for turn, done in enumerate(range(0, spp, most)):
             count = min(most, spp - done), (seed + 0x9E37 * turn) ^ number
             for term in (within, at_borders, at_near_plane, at_outlines):
-                yield partial(made, term, integrator, view, sensor, number, *count, spp)
+                yield partial(made, term, integrator, view, sensor, number, *count, spp, indirect)
 
 
 def made(
@@ -70,17 +73,20 @@ def made(
     share: int,
     seed: Any,
     spp: int,
+    indirect: bool,
 ) -> TensorXf:
     """The part of an image by a term, of one of the cameras that share the picture."""
-    return term(Samples(integrator, scene, sensor.attached().parts()[number], share, seed, spp))
+    return term(Samples(integrator, scene, sensor.attached().parts()[number], share, seed, spp, indirect))
 
 
 class Samples:
     """What the three estimates of a pass are made of."""
 
-    def __init__(self, integrator: Any, scene: Any, camera: Any, spp: int, seed: Any, total: int) -> None:
+    def __init__(
+        self, integrator: Any, scene: Any, camera: Any, spp: int, seed: Any, total: int, indirect: bool
+    ) -> None:
         self.integrator, self.scene, self.camera = integrator, scene, camera
-        self.spp, self.seed, self.total = spp, seed, total
+        self.spp, self.seed, self.total, self.indirect = spp, seed, total, indirect
         self.film = camera.canvas or camera.film()
         self.window = camera.film().crop_size()
         self.by_pixel = self.film.rfilter().is_box_filter()
@@ -108,7 +114,7 @@ class Samples:
             ray = dr.detach(camera.ray_through(place, Point2f(0)))
             ray.medium = self.scene.camera_medium
             clear = CLOSE * float(self.scene.bounding_sphere()[1]) if self.in_medium else 0.0
-            found = [FirstVertex.seen(self.integrator, self.scene, sampler, ray, True, clear)]
+            found = [FirstVertex.seen(self.integrator, self.scene, sampler, ray, True, clear, self.indirect)]
             if self.in_medium:
                 start = dr.norm(ray.o - camera.origin) if camera.is_central else Float(clear)
                 found.append(FirstVertex.close_by(self.integrator, self.scene, sampler, ray, dr.detach(start), clear))
@@ -220,11 +226,12 @@ def at_outlines(samples: Samples) -> TensorXf:
             active &= dr.max(left) > 0
             beyond = ss.spawn_ray()
             beyond.medium = medium
-            back = FirstVertex.seen(samples.integrator, scene, sampler.clone(), beyond, active)
+            paths, indirect = samples.integrator, samples.indirect
+            back = FirstVertex.seen(paths, scene, sampler.clone(), beyond, active, indirect=indirect)
             front = None
             if with_seams:
                 si, known = foreground(scene, shapes, ss, active)
-                front = FirstVertex.on_surface(samples.integrator, scene, sampler, beyond, si, active & known)
+                front = FirstVertex.on_surface(paths, scene, sampler, beyond, si, active & known, indirect)
             weight = dr.select(active, left / ss.pdf, 0)
             dr.eval(ss, active, weight, back, front, ds.uv)
         edge = change_on_film(camera, outlines.follow(ss, active, viewpoint_of(scene, camera)))

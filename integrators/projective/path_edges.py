@@ -20,9 +20,9 @@ from djpt.core.warp import square_to_uniform_sphere
 from djpt.dispatch.family import NONE
 from djpt.integrators.projective.crossings import PRECISION, Lines, edges_on_lines
 from djpt.integrators.projective.detail import seen_through
+from djpt.integrators.projective.kept import keep
 from djpt.integrators.projective.self_views import MOST_FOLLOWED, self_viewer
 from djpt.integrators.projective.smooth_chains import MOST_CHAIN_LINKS, Chains, random_turns
-from djpt.integrators.projective.splat import keep
 from djpt.integrators.projective.spread import spread
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
 

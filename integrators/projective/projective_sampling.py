@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -10,24 +11,25 @@ import drjit as dr
 from djpt.core.records import DirectionSample3f, Interaction3f, Ray3f, RayFlags, SurfaceInteraction3f
 from djpt.description.properties import Properties
 from djpt.dispatch.ensemble import Attached
-from djpt.films.base import FilmFlags
+from djpt.films.moving_samples import moving_samples
 from djpt.integrators.ad_integrator import UNBOUNDED, RBIntegrator, attached, modes, propagate
 from djpt.integrators.projective.beams import BeamSides, has_sides
 from djpt.integrators.projective.circles import edge_of_circle
 from djpt.integrators.projective.detail import ProjectiveDetail
 from djpt.integrators.projective.film_edges import FilmEdges
+from djpt.integrators.projective.kept import keep
 from djpt.integrators.projective.moving_camera import parts_of_image
 from djpt.integrators.projective.path_edges import path_edges
 from djpt.integrators.projective.reattach import delta_lights, has_mirrors
 from djpt.integrators.projective.receivers import followed, only_lamps_shine, outlined, shadowed_lamps
 from djpt.integrators.projective.self_views import Approach
 from djpt.integrators.projective.shadows import LampShadows, ShadowEdges
-from djpt.integrators.projective.splat import attached_splat, keep
 from djpt.integrators.projective.spread import lens_points, spread
 from djpt.integrators.volpath import VolumetricPath
 from djpt.jit.frozen import recording
 from djpt.jit.types import Bool, Color3f, Float, Point2f, TensorXf, UInt32
 from djpt.rendering.gradients.meetings import meeting_pairs
+from djpt.rendering.gradients.own_rendering import attached_view
 from djpt.rendering.gradients.unproven import Rendering, moves
 from djpt.rendering.gradients.unproven_cameras import CAMERA_CASES
 from djpt.samplers.base import Sampler
@@ -201,13 +203,15 @@ class PSIntegrator(RBIntegrator):
             total = dr.zeros(TensorXf, self._shape(camera))
             within, _, _ = self._counts(camera, spp)
             if self._moves_alone(scene, camera, spp):
-                for part in self._of_moving_camera(scene, camera, seed, within):
+                bare = attached_view(scene, {})
+                for part in self._of_moving_camera(bare, camera, seed, within):
                     with dr.resume_grad():
                         image = part()
                         if dr.grad_enabled(image):
                             dr.forward_to(image, flags=dr.ADFlag.ClearInterior)
                             total += dr.grad(image)
                             dr.eval(total)
+                total += self._in_light_of_emitters().render_forward(bare, params, camera, seed, spp)
                 if nothing_else(scene):
                     return total
                 camera = still(camera)
@@ -227,12 +231,14 @@ class PSIntegrator(RBIntegrator):
         with attached(self, scene, dr.ADMode.Backward, camera) as scene:
             within, _, _ = self._counts(camera, spp)
             if self._moves_alone(scene, camera, spp):
-                for part in self._of_moving_camera(scene, camera, seed, within):
+                bare = attached_view(scene, {})
+                for part in self._of_moving_camera(bare, camera, seed, within):
                     with dr.resume_grad():
                         image = part()
                         if dr.grad_enabled(image):
                             propagate(image, grad_in)
                     dr.eval()
+                self._in_light_of_emitters().render_backward(bare, params, grad_in, camera, seed, spp)
                 if nothing_else(scene):
                     return
                 camera = still(camera)
@@ -252,29 +258,33 @@ class PSIntegrator(RBIntegrator):
         return self.render_ad(scene, sensor, seed, spp, dr.ADMode.Backward)
 
     def _moves_alone(self, scene: Scene, camera: Sensor, spp: int) -> bool:
-        """Whether a camera moves, nothing else does, and derivatives by vertices that stay are possible and pay.
+        """Whether light is indirect, a camera moves, nothing else does, and vertices can stay where they are.
 
-        In the light of emitters alone those by hits that slide have less noise, unless there are edges of textures to
-        find. In indirect light theirs has no bound where surfaces touch.
+        In the light of emitters alone hits that slide have less noise. In indirect light theirs has no bound where
+        surfaces touch.
         """
-        if not camera.attached_names() or moves(scene, None) or recording() or 0 in self._counts(camera, spp):
+        if self.direct_light_only or self.max_depth <= 2 or recording() or 0 in self._counts(camera, spp):
             return False
-        indirect = not self.direct_light_only and self.max_depth > 2
-        if not indirect and not Patches(scene.shapes()).are_textured:
+        if not camera.attached_names() or moves(scene, None):
             return False
         rendering = Rendering.of(scene, self, camera)
         return not any(True for case in CAMERA_CASES for _ in case.found(rendering))
 
+    def _in_light_of_emitters(self) -> PSIntegrator:
+        """The integrator with no other light."""
+        view = copy.copy(self)
+        view.max_depth, view.proj_detail = 2, ProjectiveDetail(view)
+        return view
+
     def _of_moving_camera(self, scene: Scene, camera: Sensor, seed: Any, spp: int) -> Iterator[Callable[[], TensorXf]]:
-        """Functions that make the parts of the image that the camera moves: see `moving_camera`."""
-        depth = min(self.max_depth, 2) if self.direct_light_only else self.max_depth
+        """Functions that make the parts of the image in indirect light that a camera moves: see `moving_camera`."""
         entries = {
-            "max_depth": -1 if depth == UNBOUNDED else depth,
+            "max_depth": -1 if self.max_depth == UNBOUNDED else self.max_depth,
             "rr_depth": self.rr_depth,
             "hide_emitters": self.hide_emitters,
         }
         paths = VolumetricPath(Properties("volpath", "integrator", entries))
-        return parts_of_image(paths, scene, camera, spp, seed)
+        return parts_of_image(paths, scene, camera, spp, seed, indirect=True)
 
     def _shape(self, sensor: Sensor) -> tuple[int, int, int]:
         """The shape of the image."""
@@ -417,17 +427,8 @@ class PSIntegrator(RBIntegrator):
         width, height = sensor.film().crop_size()
         place, active = dr.detach(place + Point2f(sensor.column, 0)), Bool(active)
         keep(place, active)
-
-        def splat(color: Color3f) -> TensorXf:
-            film.prepare(list(self.aov_names()))
-            block = film.create_block(normalize=True, compensate=True)
-            alpha = [Float(0)] if film.flags() & FilmFlags.Alpha else []
-            aovs = [Float(0) for _ in self.aov_names()]
-            block.put(place, [color.x, color.y, color.z, *alpha, Float(0), *aovs], active)
-            film.put_block(block)
-            return film.develop()
-
-        return attached_splat(Color3f(value) * (width * height / sampler.wavefront_size()), self._shape(sensor), splat)
+        channels = [*film.tangent_channels(Color3f(value)), *(Float(0) for _ in self.aov_names())]
+        return moving_samples(film, place, channels, active, width * height / sampler.wavefront_size())
 
     def first_hit(
         self, scene: Scene, ray: Any, active: Bool, from_sensor: Bool | bool = True, flags: int = int(RayFlags.All)
@@ -486,7 +487,9 @@ class PSIntegrator(RBIntegrator):
 
 def nothing_else(scene: Scene) -> bool:
     """Whether a view reads no values with gradients; shapes and cameras that move aren't asked."""
-    return isinstance(scene.lookup, Attached) and not scene.lookup.variables()
+    return isinstance(scene.lookup, Attached) and not any(
+        scene.lookup.attaches(leaf) for ensemble in scene.ensembles() for leaf in ensemble.leaves()
+    )
 
 
 def shapes_meet(scene: Scene, moving: list[Any]) -> bool:

@@ -17,8 +17,8 @@ from djpt.core.records import (
     has_flag,
 )
 from djpt.emitters.area import Area
+from djpt.integrators.projective.kept import keep
 from djpt.integrators.projective.self_views import MOST_FOLLOWED, Approach, sees_itself
-from djpt.integrators.projective.splat import keep
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.scene.intersecting_shapes import between, is_sphere
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f

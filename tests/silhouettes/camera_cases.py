@@ -48,6 +48,25 @@ for motion, move in MOTIONS.items():
     )
 
 
+def with_filter(name: str) -> dict[str, Any]:
+    """The camera with a reconstruction filter."""
+    found = sensor()
+    found["film"] = {**found["film"], "rfilter": {"type": name}}
+    return found
+
+
+CASES["a lamp at the border of the film"] = Case(
+    lambda: {
+        "moving": {
+            "type": "disk",
+            "to_world": T().translate([1.7, 0, 0]),
+            "emitter": {"type": "area", "radiance": 2.0},
+        },
+        "sensor": with_filter("gaussian"),
+    },
+    shift("moving.to_world"),
+    step=0.01,
+)
 CASES["a camera, orbit: a smooth mesh"] = Case(
     lambda: {"globe": globe(), "light": {"type": "point", "position": [3, 2, 3], "intensity": 40.0}},
     orbit,

@@ -8,7 +8,7 @@ import numpy as np
 
 from djpt.core.transforms import ScalarTransform4f as T
 from djpt.jit.types import TensorXf
-from tests.silhouettes.camera_cases import GROUND, orbit
+from tests.silhouettes.camera_cases import GROUND, orbit, with_filter
 from tests.silhouettes.cases import SIZE, Case, ball, edit, sensor, shift, sky, turn_head
 from tests.silhouettes.test_projective import globe
 
@@ -148,10 +148,3 @@ for filtered in ("gaussian", "tent", "mitchell"):
         spp_difference=8192,
         by="volpath",
     )
-
-
-def with_filter(name: str) -> dict[str, Any]:
-    """The camera with a reconstruction filter."""
-    found = sensor()
-    found["film"] = {**found["film"], "rfilter": {"type": name}}
-    return found
