@@ -55,11 +55,11 @@ def with_filter(name: str) -> dict[str, Any]:
     return found
 
 
-CASES["a lamp at the border of the film"] = Case(
+CASES["the edge of a lamp at the border of the film"] = Case(
     lambda: {
         "moving": {
-            "type": "disk",
-            "to_world": T().translate([1.7, 0, 0]),
+            "type": "rectangle",
+            "to_world": T().translate([-7.9, 0, 0]).scale(10),
             "emitter": {"type": "area", "radiance": 2.0},
         },
         "sensor": with_filter("gaussian"),

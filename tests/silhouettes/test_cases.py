@@ -20,6 +20,7 @@ QUICK = {
     "a coarse smooth mesh": "direct_projective",
     "a camera, turn: a globe": "prb_projective",
     "a camera in fog, turn": "volpath",
+    "the edge of a lamp at the border of the film": "prb_projective",
     "a ball rises from a floor": "direct_projective",
     "a flat mirror": "prb_projective",
     "a bowl with dents": "direct_projective",
