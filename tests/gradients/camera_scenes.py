@@ -215,6 +215,9 @@ class View(NamedTuple):
     camera: Node
     edits: dict[str, Edit]
     integrators: tuple[Node, ...]
+    step: float = 0.2
+    """That of differences: small where bright edges lie on the borders of pixels."""
+    spp_difference: int = 1024
 
 
 DIRECT = {"type": "direct_projective"}
@@ -228,6 +231,7 @@ PINHOLE = camera(fov=25)
 INSIDE = camera(fov=40, to_world=T().look_at([0.1, 0.2, 3.6], [0, 0, 0], [0, 1, 0]))
 THICK = camera("thinlens", fov=25, aperture_radius=0.15, focus_distance=5.5)
 WIDE = camera("fisheye", (1.0, -2.2, 2), fov=100)
+IN_FOG: Node = {"type": "volpath", "max_depth": 4}
 VIEWS = {
     "a textured mesh": View(textured_mesh, PINHOLE, MOTIONS | ZOOM, (DIRECT,)),
     "a ball of glass": View(glass, PINHOLE, MOTIONS | ZOOM, (paths(6),)),
@@ -235,9 +239,9 @@ VIEWS = {
     "soft shadows": View(soft_shadows, PINHOLE, MOTIONS | ZOOM, (DIRECT, paths(2))),
     "rough metals": View(rough_bodies, PINHOLE, MOTIONS | ZOOM, (paths(3),)),
     "a mirror": View(mirror, PINHOLE, MOTIONS | ZOOM, (paths(4),)),
-    "a room": View(room, INSIDE, MOTIONS | ZOOM, (paths(6),)),
+    "a room": View(room, INSIDE, MOTIONS | ZOOM, (paths(6),), step=0.05, spp_difference=8192),
     "a lens": View(overlaps, THICK, MOTIONS | ZOOM | LENS, (DIRECT,)),
-    "a room in fog": View(foggy, INSIDE, MOTIONS | ZOOM, ({"type": "volpath", "max_depth": 4},)),
+    "a room in fog": View(foggy, INSIDE, MOTIONS | ZOOM, (IN_FOG,), step=0.05, spp_difference=8192),
     "instances": View(instances, WIDE, MOTIONS | FISHEYE, (paths(2),)),
 }
 
@@ -253,9 +257,9 @@ def cameras_of_scenes() -> Iterator[Cell]:
                     view.nodes,
                     edit_camera,
                     integrator,
-                    step=0.2,
+                    step=view.step,
                     spp=256,
-                    spp_difference=1024,
+                    spp_difference=view.spp_difference,
                     camera=lambda view=view: view.camera,
                     weights=WEIGHTS,
                     settings={},
