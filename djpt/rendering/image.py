@@ -10,7 +10,7 @@ from djpt.errors import RenderError
 from djpt.integrators.base import Integrator
 from djpt.jit.kernels import begin_trace
 from djpt.jit.types import Float, TensorXf
-from djpt.rendering.gradients.leaves import Parameter, attached_parameters, prepare_tables, unused_values
+from djpt.rendering.gradients.leaves import attached_parameters, placing, prepare_tables, unused_values
 from djpt.rendering.gradients.refusals import require_proven
 from djpt.rendering.known_images import known_or
 from djpt.rendering.schedules.base import Schedule
@@ -43,7 +43,7 @@ def film_image(scene: Scene, settings: RenderSettings) -> TensorXf:
     job, names = make_job(scene, settings), channel_names(scene, settings.sensor, settings.integrator)
     how = choose(settings.schedule, job)
     parameters = attached_parameters(job.scene)
-    motion = motion_of_camera(settings)
+    motion = placing(settings.sensor.members())
     check_memory(job, attached=bool(parameters or motion))
     if not job.channel_names():
         image = centres(job)
@@ -51,7 +51,8 @@ def film_image(scene: Scene, settings: RenderSettings) -> TensorXf:
         return image
     unused = unused_values(job.scene, parameters)
     if parameters or motion or unused:
-        require_proven(with_copies(scene) if motion else scene, job.integrator, settings.sensor)
+        scene = with_copies(scene) if motion else scene
+        require_proven(scene, job.integrator, settings.sensor)
         from djpt.rendering.gradients.choice import differentiable
 
         image = differentiable(job, how, scene, settings, parameters, motion, unused)
@@ -77,11 +78,12 @@ def image_derivative(scene: Scene, settings: RenderSettings, grad: TensorXf | No
     job = make_job(scene, settings)
     width, height = job.film.crop_size()
     shape = (height, width, job.channel_count())
-    parameters, motion = attached_parameters(job.scene), motion_of_camera(settings)
+    parameters, motion = attached_parameters(job.scene), placing(settings.sensor.members())
     check_memory(job, attached=True)
     if not parameters and not motion:
         return dr.zeros(TensorXf, shape)
-    require_proven(with_copies(scene) if motion else scene, settings.integrator, settings.sensor)
+    scene = with_copies(scene) if motion else scene
+    require_proven(scene, settings.integrator, settings.sensor)
     derivative = with_motion(derivative_of(job, choose(settings.schedule, job), parameters), scene, settings, motion)
     every = [*parameters, *motion]
     return propagated(attached_image(every, [], lambda: dr.zeros(TensorXf, shape), derivative), grad)
@@ -186,11 +188,6 @@ def job_of(sampler: Sampler) -> type[Job]:
     from djpt.rendering.schedules.wavefront import WavefrontJob
 
     return WavefrontJob
-
-
-def motion_of_camera(settings: RenderSettings) -> list[Parameter]:
-    """The parameters that place the camera and have gradients."""
-    return [Parameter(owner, name) for owner in settings.sensor.members() for name in owner.attached_names()]
 
 
 def require_still(scene: Scene, sensor: Any = 0, integrator: Integrator | None = None) -> None:

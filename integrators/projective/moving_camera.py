@@ -8,8 +8,7 @@ vertices appear and disappear.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from functools import partial
+from collections.abc import Iterator
 from typing import Any
 
 import drjit as dr
@@ -43,8 +42,10 @@ MOST_LANES = 1 << 21
 
 def parts_of_image(
     integrator: Any, scene: Any, sensor: Any, spp: int, seed: Any, indirect: bool = False
-) -> Iterator[Callable[[], TensorXf]]:
-    """Functions that make the parts of an image, whose values are 0, attached to what places the camera then.
+) -> Iterator[TensorXf]:
+    """The parts of an image, whose values are 0, each attached to what places the camera; gradients are resumed.
+
+    A part is made when it is asked for, and holds its samples in memory.
 
     Args:
         integrator: a `djpt.integrators.volpath.VolumetricPath`.
@@ -59,24 +60,13 @@ def parts_of_image(
     for number, part in enumerate(sensor.parts()):
         view = scene.replace(sensor=part)
         for turn, done in enumerate(range(0, spp, most)):
-            count = min(most, spp - done), (seed + 0x9E37 * turn) ^ number
+            share, own_seed = min(most, spp - done), (seed + 0x9E37 * turn) ^ number
             for term in (within, at_borders, at_near_plane, at_outlines):
-                yield partial(made, term, integrator, view, sensor, number, *count, spp, indirect)
-
-
-def made(
-    term: Callable[[Samples], TensorXf],
-    integrator: Any,
-    scene: Any,
-    sensor: Any,
-    number: int,
-    share: int,
-    seed: Any,
-    spp: int,
-    indirect: bool,
-) -> TensorXf:
-    """The part of an image by a term, of one of the cameras that share the picture."""
-    return term(Samples(integrator, scene, sensor.attached().parts()[number], share, seed, spp, indirect))
+                with dr.resume_grad():
+                    camera = sensor.attached().parts()[number]
+                    image = term(Samples(integrator, view, camera, share, own_seed, spp, indirect))
+                    if dr.grad_enabled(image):
+                        yield image
 
 
 class Samples:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import drjit as dr
@@ -204,13 +204,10 @@ class PSIntegrator(RBIntegrator):
             within, _, _ = self._counts(camera, spp)
             if self._moves_alone(scene, camera, spp):
                 bare = attached_view(scene, {})
-                for part in self._of_moving_camera(bare, camera, seed, within):
-                    with dr.resume_grad():
-                        image = part()
-                        if dr.grad_enabled(image):
-                            dr.forward_to(image, flags=dr.ADFlag.ClearInterior)
-                            total += dr.grad(image)
-                            dr.eval(total)
+                for image in self._of_moving_camera(bare, camera, seed, within):
+                    dr.forward_to(image, flags=dr.ADFlag.ClearInterior)
+                    total += dr.grad(image)
+                    dr.eval(total)
                 total += self._in_light_of_emitters().render_forward(bare, params, camera, seed, spp)
                 if nothing_else(scene):
                     return total
@@ -232,11 +229,8 @@ class PSIntegrator(RBIntegrator):
             within, _, _ = self._counts(camera, spp)
             if self._moves_alone(scene, camera, spp):
                 bare = attached_view(scene, {})
-                for part in self._of_moving_camera(bare, camera, seed, within):
-                    with dr.resume_grad():
-                        image = part()
-                        if dr.grad_enabled(image):
-                            propagate(image, grad_in)
+                for image in self._of_moving_camera(bare, camera, seed, within):
+                    propagate(image, grad_in)
                     dr.eval()
                 self._in_light_of_emitters().render_backward(bare, params, grad_in, camera, seed, spp)
                 if nothing_else(scene):
@@ -276,8 +270,8 @@ class PSIntegrator(RBIntegrator):
         view.max_depth, view.proj_detail = 2, ProjectiveDetail(view)
         return view
 
-    def _of_moving_camera(self, scene: Scene, camera: Sensor, seed: Any, spp: int) -> Iterator[Callable[[], TensorXf]]:
-        """Functions that make the parts of the image in indirect light that a camera moves: see `moving_camera`."""
+    def _of_moving_camera(self, scene: Scene, camera: Sensor, seed: Any, spp: int) -> Iterator[TensorXf]:
+        """The parts of the image in indirect light that a camera moves: see `moving_camera`."""
         entries = {
             "max_depth": -1 if self.max_depth == UNBOUNDED else self.max_depth,
             "rr_depth": self.rr_depth,

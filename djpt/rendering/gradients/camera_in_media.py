@@ -44,43 +44,35 @@ class CameraInMedia:
 
     def backward(self, image: TensorXf) -> list[Any]:
         """The gradients of the parameters, from the derivatives with respect to the pixels (H, W, C)."""
-        totals: list[Any] | None = None
-        for fresh, part in self._images():
-            dr.set_grad(part, image)
-            dr.enqueue(dr.ADMode.Backward, part)
-            dr.traverse(dr.ADMode.Backward)
-            found = [dr.grad(leaf) for leaf in fresh]
-            totals = found if totals is None else [a + b for a, b in zip(totals, found, strict=True)]
-            dr.eval(totals)
-        assert totals is not None
-        return totals
+        with self._leaves() as fresh:
+            for part in self._parts():
+                dr.set_grad(part, image)
+                dr.enqueue(dr.ADMode.Backward, part)
+                dr.traverse(dr.ADMode.Backward)
+                dr.eval(dr.grad(fresh))
+            return [dr.grad(leaf) for leaf in fresh]
 
     def forward(self, tangents: list[Any]) -> TensorXf:
         """The derivative of the image in the direction of `tangents`, one per parameter."""
         dr.make_opaque(tangents)
-        total: TensorXf | None = None
-        for fresh, part in self._images():
+        total = TensorXf(0)
+        with self._leaves() as fresh:
             for leaf, tangent in zip(fresh, tangents, strict=True):
                 dr.set_grad(leaf, tangent)
-            dr.forward_to(part)
-            found = dr.grad(part)
-            total = found if total is None else total + found
-            dr.eval(total)
-        assert total is not None
+            for part in self._parts():
+                dr.forward_to(part, flags=dr.ADFlag.ClearInterior)
+                total = total + dr.grad(part)
+                dr.eval(total)
         return total
 
     @contextmanager
     def _leaves(self) -> Iterator[list[Any]]:
         """Fresh leaves in place of the parameters, by which the sensor moves within a `with` block."""
         fresh = [type(value)(value) for value in self._values]
-        dr.enable_grad(fresh)
-        with exchanged(dict(zip(self._places, fresh, strict=True))):
+        with dr.resume_grad(), exchanged(dict(zip(self._places, fresh, strict=True))):
+            dr.enable_grad(fresh)
             yield fresh
 
-    def _images(self) -> Iterator[tuple[list[Any], TensorXf]]:
-        """The parts of the image, whose values are 0, each attached to leaves of its own."""
-        for part in parts_of_image(self._integrator, self._scene, self._sensor, self._spp, self._seed):
-            with dr.resume_grad(), self._leaves() as fresh:
-                image = part()
-                if dr.grad_enabled(image):
-                    yield fresh, image
+    def _parts(self) -> Iterator[TensorXf]:
+        """The parts of the image, attached to leaves."""
+        return parts_of_image(self._integrator, self._scene, self._sensor, self._spp, self._seed)

@@ -59,15 +59,17 @@ def differentiable(
 
 
 def with_motion(rest: Derivative, scene: Scene, settings: RenderSettings, motion: list[Parameter]) -> Derivative:
-    """The estimator of the derivative by all parameters, from that for the `rest`, which come first."""
+    """The estimator of the derivative by all parameters, from that for the `rest`, which come first.
+
+    The `scene` has copies in place of instances.
+    """
     if not motion:
         return rest
     # Few images need what follows a camera.
     from djpt.rendering.gradients.camera_in_media import CameraInMedia
-    from djpt.scene.instance_copies import with_copies
 
-    view = with_copies(scene).replace(all_media=True)
-    return SumOfDerivatives(rest, CameraInMedia(view, settings, motion), len(motion))
+    of_camera = CameraInMedia(scene.replace(all_media=True), settings, motion)
+    return SumOfDerivatives(rest, of_camera, len(motion))
 
 
 def derivative_of(samples: Job, schedule: Schedule, parameters: list[Parameter]) -> Derivative:

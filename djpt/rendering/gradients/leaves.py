@@ -35,6 +35,7 @@ __all__ = [
     "attached_parameters",
     "components",
     "motion_parameters",
+    "placing",
     "prepare_tables",
     "unused_values",
 ]
@@ -101,8 +102,12 @@ def motion_parameters(scene: Scene, sensor: Sensor | None = None) -> list[Parame
 
     `djpt.shapes.silhouettes.moving` says how they are read.
     """
-    placed: list[Any] = [*scene.shapes()] if sensor is None else [*scene.shapes(), *sensor.members()]
-    return [Parameter(owner, name) for owner in placed for name in owner.attached_names()]
+    return [*placing(scene.shapes()), *placing([] if sensor is None else sensor.members())]
+
+
+def placing(owners: Sequence[Any]) -> list[Parameter]:
+    """The parameters that place shapes or sensors and have gradients."""
+    return [Parameter(owner, name) for owner in owners for name in owner.attached_names()]
 
 
 def unused_values(scene: Scene, parameters: Sequence[Parameter]) -> list[Any]:
