@@ -143,14 +143,13 @@ class DirectProjectiveIntegrator(PSIntegrator):
         depth = int(curr_depth[0]) if dr.is_array_v(curr_depth) else int(curr_depth)
         if depth not in (0, 1):
             raise RenderError(f"direct_projective: silhouettes are on the first two edges of a path, found {depth}")
-        ray = ss.spawn_ray()
-        si, active = self.front(scene, ss, active)
+        si, behind, active = self.both_sides(scene, ss, depth == 0, active)
         if depth == 1:
-            behind = scene.ray_intersect(ray, active=active)
             back, front = (point.emitter(scene).eval(point, active) for point in (behind, si))
         else:
             # The same random numbers on both sides: where they look alike, the difference vanishes.
-            back = self.shade(scene, sampler.clone(), ray, 0, None, active)
+            ray = ss.spawn_ray()
+            back = self.shade(scene, sampler.clone(), ray, 0, behind, active)
             front = self.shade(scene, sampler, ray, 0, si, active)
         return dr.select(active, Color3f(front), 0), dr.select(active, Color3f(back), 0), active
 

@@ -216,9 +216,9 @@ class PathProjectiveIntegrator(PSIntegrator):
         self, scene: Any, ss: SilhouetteSample3f, curr_depth: Any, sampler: Any, active: Any
     ) -> tuple[Color3f, Color3f, Bool]:
         ray = ss.spawn_ray()
-        si, active = self.front(scene, ss, active)
+        si, behind, active = self.both_sides(scene, ss, UInt32(curr_depth) == 0, active)
         # The same random numbers on both sides: where they look alike, the difference vanishes.
-        back = self.shade(scene, sampler.clone(), ray, curr_depth, None, active)
+        back = self.shade(scene, sampler.clone(), ray, curr_depth, behind, active)
         front = self.shade(scene, sampler, ray, curr_depth, si, active)
         return dr.select(active, Color3f(front), 0), dr.select(active, Color3f(back), 0), active
 

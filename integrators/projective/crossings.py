@@ -21,6 +21,7 @@ import drjit as dr
 from djpt.core.records import Ray3f, SurfaceInteraction3f
 from djpt.integrators.projective.kept import keep
 from djpt.integrators.projective.smooth_chains import Chains, side_of
+from djpt.integrators.projective.wedges import clear_of_wedges
 from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point3f, UInt32, Vector2f, Vector3f
 from djpt.textures.patches import adjoin
 
@@ -105,8 +106,9 @@ def edges_on_lines(
         depth = lines.depth + link
         # The same random numbers on both sides: where they look alike, the difference vanishes.
         again = sampler.clone()
-        here = weight_a * integrator.radiance_along(chains.scene, ray_a, a, depth, again, counts)
-        there = weight_b * integrator.radiance_along(chains.scene, ray_b, b, depth, sampler, counts)
+        seen_a, seen_b = clear_of_wedges(chains.scene, a, b, ray.d, counts)
+        here = weight_a * integrator.radiance_along(chains.scene, ray_a, seen_a, depth, again, counts)
+        there = weight_b * integrator.radiance_along(chains.scene, ray_b, seen_b, depth, sampler, counts)
         place = dr.select(front_first, low, high)
         factor = weight(place) * (times * (0.5 * math.pi / lines.length))
         here, there = here * factor, there * factor

@@ -25,6 +25,7 @@ from djpt.integrators.projective.receivers import followed, only_lamps_shine, ou
 from djpt.integrators.projective.self_views import Approach
 from djpt.integrators.projective.shadows import LampShadows, ShadowEdges
 from djpt.integrators.projective.spread import lens_points, spread
+from djpt.integrators.projective.wedges import clear_of_wedges
 from djpt.integrators.volpath import VolumetricPath
 from djpt.jit.frozen import recording
 from djpt.jit.types import Bool, Color3f, Float, Point2f, TensorXf, UInt32
@@ -461,6 +462,14 @@ class PSIntegrator(RBIntegrator):
         inner = scene.ray_intersect(Ray3f(begin, ss.d), active=known & (ss.strip > 0))
         other = inner.is_valid() & (inner.shape_index == si.shape_index) & (patches.number(inner) != patches.number(si))
         return si.replaced(uv=dr.select(other, inner.uv, si.uv)), known
+
+    def both_sides(
+        self, scene: Scene, ss: SilhouetteSample3f, from_sensor: Bool | bool, active: Bool | bool
+    ) -> tuple[SurfaceInteraction3f, SurfaceInteraction3f, Bool]:
+        """What viewers see at silhouettes, what they see behind, and where both are known: see `front`."""
+        front, known = self.front(scene, ss, active)
+        behind = self.first_hit(scene, ss.spawn_ray(), known, from_sensor)
+        return *clear_of_wedges(scene, front, behind, ss.d, known), known
 
     def radiance_along(
         self, scene: Scene, ray: Any, si: SurfaceInteraction3f, depth: Any, sampler: Sampler, active: Bool

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import drjit as dr
 
 from djpt.core.frame import coordinate_system
-from djpt.core.records import BSDFFlags, DiscontinuityFlags, SurfaceInteraction3f, has_flag
+from djpt.core.records import RAY_EPSILON, BSDFFlags, DiscontinuityFlags, SurfaceInteraction3f, has_flag
 from djpt.core.warp import (
     square_to_uniform_sphere,
     square_to_uniform_spherical_lune,
@@ -51,6 +51,9 @@ LEAST_ANGLE = math.radians(1)
 """The least weight of an edge in walks, so that each can be crossed."""
 
 EPSILON = 2.0**-24
+
+MOST_INSET = 0.25
+"""How far off a narrow hollow a triangle is looked at, at most, as a fraction of the way to its middle."""
 
 FLAT = 1 - 1e-6
 """The cosine between the normals of triangles above which they count as one plane."""
@@ -337,7 +340,13 @@ class MeshSilhouette(Silhouette):
         beyond = shared & (facing == ahead) & (other_facing != ahead)
         face, n = dr.select(beyond, opposite // 3, ss.prim_index), dr.select(beyond, other, own)
         a, b, c = self.at_corners(self.place(), face, active)
-        return dr.fma(INSET, (a + b + c) / 3 - ss.p, ss.p), -n if self.shape.flip_normals else n
+        middle = (a + b + c) / 3 - ss.p
+        # In a narrow hollow, the point above must not be beyond the other triangle.
+        narrow = ahead & (facing == other_facing) & (dr.dot(own, other) < 0)
+        sine = dr.norm(dr.cross(own, other)) * dr.norm(dr.cross(ss.silhouette_d, middle))
+        inset = dr.clip(2 * RAY_EPSILON * (1 + dr.max(dr.abs(ss.p))) * dr.rcp(sine), INSET, MOST_INSET)
+        point = dr.fma(dr.select(narrow, inset, INSET), middle, ss.p)
+        return point, -n if self.shape.flip_normals else n
 
     # ---- motion -------------------------------------------------------------------------------
 
