@@ -17,6 +17,7 @@ import importlib
 import re
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 __all__ = ["lazily"]
@@ -29,9 +30,7 @@ def lazily(package: str) -> tuple[Callable[[str], Any], Callable[[], list[str]],
 
     Modules of the package are attributes, too, as if they had been imported.
     """
-    spec = sys.modules[package].__spec__
-    source = spec.loader.get_source(package) if spec is not None and spec.loader is not None else ""  # type: ignore[attr-defined]
-    sources = {alias: (module, name) for module, name, alias in LINE.findall(source)}
+    sources = {alias: (module, name) for module, name, alias in LINE.findall(source_of(package))}
     modules = {module.rpartition(".")[2]: module for module, _ in sources.values()}
 
     def attribute(name: str) -> Any:
@@ -46,3 +45,13 @@ def lazily(package: str) -> tuple[Callable[[str], Any], Callable[[], list[str]],
 
     names = sorted(sources)
     return attribute, lambda: names, names
+
+
+def source_of(package: str) -> str:
+    """The source of a package; empty if there is none."""
+    spec = sys.modules[package].__spec__
+    read = getattr(spec.loader, "get_source", None) if spec is not None else None
+    if read is not None:
+        return read(package) or ""
+    # Not all loaders can tell, such as that of pytest, which rewrites the modules of installed plugins.
+    return Path(spec.origin).read_text(encoding="utf-8") if spec is not None and spec.origin is not None else ""

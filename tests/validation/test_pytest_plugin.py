@@ -48,6 +48,21 @@ def test_the_entry_point() -> None:
     assert section == 'pytest_djpt = "pytest_djpt"'
 
 
+def test_djpt_is_imported_where_pytest_rewrites_its_modules(pytester: pytest.Pytester) -> None:
+    """It does so with all that an installed plugin's package has, by a loader that can't tell their source."""
+    pytester.makeconftest("import pytest; pytest.register_assert_rewrite('djpt')")
+    pytester.makepyfile(
+        """
+        import djpt
+
+        def test_it():
+            assert type(djpt.__spec__.loader).__name__ == "AssertionRewritingHook"
+            assert not djpt.load_dict({"type": "sphere"}).is_mesh()
+        """
+    )
+    ran(pytester).assert_outcomes(passed=1)
+
+
 def test_references_are_written_compared_and_reported(pytester: pytest.Pytester) -> None:
     written(pytester)
     result = ran(pytester)
