@@ -113,6 +113,20 @@ class Experiment(Loss):
             assert np.mean(error > 0.01 * np.abs(by_difference).max() + 1e-6) < 0.002
             assert self.value(forward) == pytest.approx(found[2], rel=1e-4, abs=1e-4 * scale)
 
+    def check_on_average(self, seeds: Iterable[int] = range(16)) -> None:
+        """Assert that forward mode agrees with reverse mode, and its mean with that of finite differences.
+
+        Where samples choose by what they are differentiated by, differences at one seed jump.
+        """
+        self.assert_modes_agree()
+        exact = {seed: self.reverse(seed) for seed in seeds}
+        scale = np.abs(np.mean(list(exact.values()), axis=0)).max()
+        for number, along in enumerate(np.eye(self.values.size)):
+            step = 0.02 * max(1.0, abs(self.values[number]))
+            errors = [found[number] - self.value(self.difference(along, step, seed)) for seed, found in exact.items()]
+            error, sigma = mean_and_error(errors)
+            assert abs(error) <= max(4 * sigma, 2e-3 * scale) and sigma < 0.01 * scale, (number, error, sigma)
+
 
 # ---------------------------------------------------------------- on average, parameter by parameter
 
