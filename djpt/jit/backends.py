@@ -176,8 +176,8 @@ def _check_llvm(drjit: ModuleType) -> None:
         return
     if not found.too_late:
         raise BackendError(
-            f"Dr.Jit can't use the LLVM library that djpt chose, {found.chosen}. The CPU must support AVX2 and FMA. "
-            f"Set {PATH_VARIABLE} to another libLLVM, version {MINIMUM} or newer."
+            f"Dr.Jit can't use the LLVM library that djpt chose, {found.chosen}. The processor must have AVX2 and FMA "
+            f"(ARM: NEON). Set {PATH_VARIABLE} to another libLLVM, version {MINIMUM} or newer."
         )
     had = f"loaded LLVM {version[0]}, which would crash the process" if usable else "found no usable LLVM"
     advice = "import djpt before drjit and mitsuba" if found.chosen else found.explain()
