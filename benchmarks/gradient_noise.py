@@ -79,7 +79,7 @@ def measured(problem: Problem) -> tuple[float, float, float, float]:
 
     start, truth = (np.asarray(end, np.float64) for end in (problem.start, problem.truth))
     x, way = start + NEAR * (truth - start), (truth - start).ravel()
-    frozen = problem.frozen or problem.ours == "gauss_newton"
+    frozen = problem.frozen or problem.method == "gauss_newton"
     equations = Equations(Passes(residual, frozen), {"x": renderer.typed(problem.start)}, {}, {})
     in_search(equations, x.ravel(), way, 0)
     rows = [in_search(equations, x.ravel(), way, 1 + k) for k in range(ROWS)]

@@ -157,7 +157,7 @@ class Renderer:
 
     def best(self, steps: int) -> Course:
         """djpt's search."""
-        return self.gauss_newton(steps) if self.problem.ours == "gauss_newton" else self.least_squares(steps)
+        return self.gauss_newton(steps) if self.problem.method == "gauss_newton" else self.least_squares(steps)
 
     def gauss_newton(self, steps: int) -> Course:
         """`optimize` with Gauss-Newton steps."""
@@ -192,7 +192,7 @@ class Renderer:
         clock = Clock()
         # Variables of this function, where `dr.freeze` finds their arrays.
         module, scene, target, apply, spp = self.module, self.scene, self.target, problem.apply, problem.spp
-        spp, spp_grad = spp // problem.fewer, problem.derived
+        spp, spp_grad = spp // problem.spp_divisor, problem.spp_derivatives
 
         def residual(x: Any, seed: Any) -> Any:
             params = module.traverse(scene)
@@ -213,7 +213,7 @@ class Renderer:
             bounds={"x": problem.bounds},
             differences={"x": problem.differences},
             coarse=problem.coarse,
-            images=4 * problem.fewer**2,
+            images=4 * problem.spp_divisor**2,
             frozen=problem.frozen,
             iterations=steps,
             callback=seen,
@@ -346,7 +346,7 @@ def page(results: list[Result], facts: str, folder: Path) -> str:
             f"![Start, found by djpt, truth](images/inverse_{name}.png)",
             "",
             f"*Start, found by djpt, truth.* Mitsuba: the best of Adam with the rates {rates} (to the last error: "
-            f"{fastest.label}, {len(fastest.points)} steps, least error {fastest.best:.3f}). djpt: `{problem.ours}`, "
+            f"{fastest.label}, {len(fastest.points)} steps, least error {fastest.best:.3f}). djpt: `{problem.method}`, "
             f"{len(result.ours.points)} steps, least error {result.ours.best:.3f}.",
             "",
         ]

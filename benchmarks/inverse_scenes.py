@@ -31,7 +31,7 @@ class Problem:
     rates: tuple[float, float, float]
     """Mitsuba's learning rates."""
     bounds: tuple[float, float]
-    ours: str
+    method: str
     """``gauss_newton`` or ``least_squares``."""
     keys: tuple[str, ...] = ()
     """For ``gauss_newton``: the parameters that the unknowns are, in their order."""
@@ -42,9 +42,9 @@ class Problem:
     """For ``least_squares``: the distance over which images are compared; 0: derivatives."""
     frozen: bool = False
     """For ``least_squares``: whether images and derivatives are traced once."""
-    fewer: int = 1
+    spp_divisor: int = 1
     """For ``least_squares``: by what the samples per pixel are divided, of which more images are averaged then."""
-    derived: int = 0
+    spp_derivatives: int = 0
     """For ``least_squares``: the samples per pixel of derivatives, where these have more noise; 0: as images."""
     views: int = 1
     """The number of sensors whose pictures are compared."""
@@ -109,7 +109,7 @@ def paints() -> Problem:
         (0.0, 1.0),
         "least_squares",
         frozen=True,
-        fewer=2,
+        spp_divisor=2,
         spp=16,
     )
 
@@ -207,7 +207,7 @@ def environment() -> Problem:
         "least_squares",
         frozen=True,
         spp=16,
-        fewer=2,
+        spp_divisor=2,
         iterations=24,
     )
 
@@ -248,7 +248,7 @@ def pose() -> Problem:
         (0.01, 0.02, 0.05),
         (-2.0, 2.0),
         "least_squares",
-        fewer=4,
+        spp_divisor=4,
         spp=16,
         coarse=3,
         differences=0.15,
@@ -298,7 +298,7 @@ def roughness() -> Problem:
         (0.05, 1.0),
         "least_squares",
         frozen=True,
-        fewer=2,
+        spp_divisor=2,
         spp=16,
     )
 
@@ -351,7 +351,7 @@ def normals() -> Problem:
         (-1.0, 1.0),
         "least_squares",
         frozen=True,
-        fewer=2,
+        spp_divisor=2,
         spp=16,
         iterations=12,
     )
@@ -390,7 +390,7 @@ def material() -> Problem:
         (0.05, 1.0),
         "least_squares",
         frozen=True,
-        fewer=4,
+        spp_divisor=4,
         spp=16,
         differences=0.1,
         iterations=16,
@@ -448,7 +448,7 @@ def view() -> Problem:
         (0.01, 0.02, 0.05),
         (-1.0, 1.0),
         "least_squares",
-        fewer=4,
+        spp_divisor=4,
         spp=16,
         coarse=3,
         differences=0.1,
@@ -505,7 +505,7 @@ def volume() -> Problem:
         (0.01, 10.0),
         "least_squares",
         spp=16,
-        derived=64,
+        spp_derivatives=64,
         size=32,
         iterations=24,
     )

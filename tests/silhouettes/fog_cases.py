@@ -8,7 +8,7 @@ import numpy as np
 
 from djpt.core.transforms import ScalarTransform4f as T
 from djpt.jit.types import TensorXf
-from tests.silhouettes.camera_cases import GROUND, orbit, with_filter
+from tests.silhouettes.camera_cases import GROUND, MOTIONS, orbit, with_filter
 from tests.silhouettes.cases import SIZE, Case, ball, edit, sensor, shift, sky, turn_head
 from tests.silhouettes.test_projective import globe
 
@@ -53,13 +53,6 @@ def room(fog: dict[str, Any], **more: Any) -> dict[str, Any]:
     return {"ball": BODY, "floor": GROUND, "lamp": LAMP, "fog": fog, **more}
 
 
-MOTIONS = {
-    "step aside": shift("sensor.to_world"),
-    "step back": shift("sensor.to_world", 0, 0, 1),
-    "turn": turn_head,
-    "field of view": edit("sensor.x_fov", 20),
-    "principal point": edit("sensor.principal_point_offset_x", 0.3),
-}
 CASES: dict[str, Case] = {
     f"a camera in fog, {motion}": Case(
         lambda: room(everywhere()),
