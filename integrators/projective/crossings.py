@@ -18,7 +18,7 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.core.records import Ray3f, SurfaceInteraction3f
+from djpt.core.records import BSDFFlags, Ray3f, SurfaceInteraction3f, has_flag
 from djpt.integrators.projective.kept import keep
 from djpt.integrators.projective.smooth_chains import Chains, side_of
 from djpt.integrators.projective.wedges import clear_of_wedges
@@ -37,6 +37,8 @@ BESIDE = 1 / 16
 """How far beside a crossing the direction of an edge is looked for, as a fraction of the reach along the line."""
 NARROWER, NARROWEST = 1 / 8, 4
 """The ratio of such reaches, the first of which is a part of a line; and how often rays apart the last one holds."""
+
+SMOOTH = int(BSDFFlags.Delta)
 
 Line = Callable[[Float, Float], Ray3f]
 """The rays at places along a line and beside it, in one unit."""
@@ -100,21 +102,23 @@ def edges_on_lines(
         front_first = a.is_valid() & (~b.is_valid() | (a.t <= b.t))
         front, ray = dr.select(front_first, a, b), dr.select(front_first, ray_a, ray_b)
         hidden = counts & ~meet
-        rim = (link == 0) & within & ~Bool(lines.outlines)
+        rim = (link > 0) | within & ~Bool(lines.outlines)
         across = edge_direction(chains, lines, link, 0.5 * (low + high), a, b, ray, front.t, hidden, rim)
         counts &= meet | (dr.squared_norm(across) > 0)
         depth = lines.depth + link
+        place = dr.select(front_first, low, high)
+        edge = Edge(chains, lines, place, link, meet, across, front_first, (a, ray_a), (b, ray_b), counts)
+        slope = edge.slope()
+        seen_a, seen_b = clear_of_wedges(chains.scene, a, b, ray.d, counts)
+        if chains.longest:
+            (ray_a, seen_a), (ray_b, seen_b) = edge.beside_strip(slope, seen_a, seen_b)
         # The same random numbers on both sides: where they look alike, the difference vanishes.
         again = sampler.clone()
-        seen_a, seen_b = clear_of_wedges(chains.scene, a, b, ray.d, counts)
         here = weight_a * integrator.radiance_along(chains.scene, ray_a, seen_a, depth, again, counts)
         there = weight_b * integrator.radiance_along(chains.scene, ray_b, seen_b, depth, sampler, counts)
-        place = dr.select(front_first, low, high)
         factor = weight(place) * (times * (0.5 * math.pi / lines.length))
         here, there = here * factor, there * factor
         keep(place, link, counts, here, there, across, meet, a.p, b.p, a.n, b.n)
-    edge = Edge(chains, lines, place, link, meet, across, front_first, (a, ray_a), (b, ray_b), counts)
-    slope = edge.slope()
     length = dr.norm(slope)
     moves = counts & (length > 0) & dr.isfinite(length)
     across_line = dr.select(moves, -dr.sign(slope.x) / length, 0)
@@ -170,6 +174,24 @@ class Edge:
                 dr.forward_from(offset, flags=dr.ADFlag.ClearEdges)
                 slopes.append(dr.grad(g))
         return Vector2f(*slopes)
+
+    def beside_strip(self, slope: Vector2f, *seen: SurfaceInteraction3f) -> list[tuple[Ray3f, SurfaceInteraction3f]]:
+        """The rays to both sides, and what they hit: in front at the inner border of the strip, if that is smooth.
+
+        The edges that a smooth surface shows run along its outline in the end, as those do that lie on it.
+        """
+        lines, length, shown = self.lines, dr.norm(slope), []
+        hides = self.active & ~self.meet & (length > 0)
+        for low, (_, ray), si in zip((True, False), (self.first, self.second), seen, strict=True):
+            lanes = hides & (self.first_in_front == low) & has_flag(si.bsdf().flags(), SMOOTH)
+            far = dr.select(lanes, dr.sign(slope.x) * ((-STRIP if low else STRIP) * lines.apart) / length, 0)
+            first = lines.rays(dr.fma(slope.x, far, self.place), slope.y * far)
+            aside = self.chains.attached(first, lines.bits, self.link, lanes)
+            inner = self.chains.hit(aside, self.link, lanes)
+            lanes &= self.chains.surface(inner) == self.chains.surface(si)
+            o, d = dr.select(lanes, aside.o, ray.o), dr.select(lanes, aside.d, ray.d)
+            shown.append((Ray3f(o, d, maxt=ray.maxt), dr.select(lanes, inner, si)))
+        return shown
 
     def changes(self) -> tuple[Float, Float]:
         """The changes of g, as it counts for this side and for the other one: 0, attached to what moves.

@@ -27,6 +27,7 @@ from djpt.integrators.projective.guiding import (
 from djpt.integrators.projective.kept import keep
 from djpt.integrators.projective.outlines import Outlines
 from djpt.integrators.projective.projection import ProjectOperation
+from djpt.integrators.projective.reattach import has_mirrors
 from djpt.integrators.projective.receivers import Receiver, light_of_lamps
 from djpt.jit.frozen import recording
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32
@@ -99,7 +100,7 @@ class ProjectiveDetail:
             it.p = ss.p
             distance = sensor.sample_direction(it, Point2f(0))[0].dist
             ray.maxt = distance * (1 - SHADOW_EPSILON)
-            if have_patches(scene.geometry.contents.shapes):
+            if has_strips(scene):
                 window = Point2f(sensor.film().crop_size())
                 width = STRIP * PRECISION * dr.max(window)
                 ss = ss.replaced(sight=distance, strip=width / dr.norm(window * film_vectors(sensor, ss)[1]))
@@ -279,7 +280,7 @@ class ProjectiveDetail:
                 scene, sensor, ss, parent.max_depth, sampler, active
             )
             active = active & reached
-            if have_patches(scene.geometry.contents.shapes):
+            if has_strips(scene):
                 distance = scene.ray_intersect(ss.toward_viewer().spawn_ray(), active=active).t
                 ss = ss.replaced(sight=distance, strip=STRIP * PRECISION * distance)
             front, back, known = parent.sample_radiances(scene, ss, edges - 1, sampler, active)
@@ -308,6 +309,11 @@ class ProjectiveDetail:
         si.p, si.prim_index, si.uv = dr.detach(ss.p), ss.prim_index, ss.uv
         followed = scene.silhouette_shape(ss.scene_index).differential_motion(si, active)
         return dr.select(active, dr.dot(followed - dr.detach(followed), dr.detach(ss.n)), 0)
+
+
+def has_strips(scene: Any) -> bool:
+    """Whether edges run along outlines: of patches, or of what smooth surfaces show."""
+    return has_mirrors(scene) or have_patches(scene.geometry.contents.shapes)
 
 
 def number_of(scene: Any, ss: SilhouetteSample3f) -> UInt32:

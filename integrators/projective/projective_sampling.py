@@ -8,7 +8,15 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.core.records import DirectionSample3f, Interaction3f, Ray3f, RayFlags, SurfaceInteraction3f
+from djpt.core.records import (
+    BSDFFlags,
+    DirectionSample3f,
+    Interaction3f,
+    Ray3f,
+    RayFlags,
+    SurfaceInteraction3f,
+    has_flag,
+)
 from djpt.description.properties import Properties
 from djpt.dispatch.ensemble import Attached
 from djpt.films.moving_samples import moving_samples
@@ -453,15 +461,20 @@ class PSIntegrator(RBIntegrator):
         Of textures that jump, they show what is at the inner border of the strip `ss.strip`.
         """
         si, known = foreground(scene, scene.silhouette_shapes(), ss, active)
-        patches = Patches(scene.geometry.contents.shapes)
-        if not patches:
+        patches, mirrors = Patches(scene.geometry.contents.shapes), has_mirrors(scene)
+        if not patches and not mirrors:
             return si, known
-        # Random lines find the edges of patches, also where these are edges of triangles.
-        known &= ~patches.differ(si, scene.ray_intersect(ss.spawn_ray(), active=known))
+        if patches:
+            # Random lines find the edges of patches, also where these are edges of triangles.
+            known &= ~patches.differ(si, scene.ray_intersect(ss.spawn_ray(), active=known))
         begin = ss.p - ss.sight * ss.d - ss.strip * ss.n
         inner = scene.ray_intersect(Ray3f(begin, ss.d), active=known & (ss.strip > 0))
-        other = inner.is_valid() & (inner.shape_index == si.shape_index) & (patches.number(inner) != patches.number(si))
-        return si.replaced(uv=dr.select(other, inner.uv, si.uv)), known
+        there = inner.is_valid() & (inner.shape_index == si.shape_index)
+        other = there & (patches.number(inner) != patches.number(si))
+        si = si.replaced(uv=dr.select(other, inner.uv, si.uv))
+        if mirrors:
+            si = dr.select(there & has_flag(si.bsdf().flags(), BSDFFlags.Delta), toward_viewer(inner, ss.d), si)
+        return si, known
 
     def both_sides(
         self, scene: Scene, ss: SilhouetteSample3f, from_sensor: Bool | bool, active: Bool | bool
