@@ -19,7 +19,7 @@ from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, Vector2f
 __all__ = ["FilmEdges"]
 
 SHORT, LONG, PARTS = 0.25, 0.5, 8
-"""The length of lines in pixels, with chains of smooth surfaces to follow a longer one, and its parts."""
+"""The length of lines in pixels, with chains of smooth surfaces to follow a longer one, and their parts."""
 LEARNT_FROM = 1 << 18
 """The lines that the guide learns from, at least; one per pixel if there are more."""
 LEVELS, EXTRA = 7, (8, 128)
@@ -87,7 +87,7 @@ class FilmEdges:
     def _across(self, points: Point3f, weight: Float, sampler: Any) -> tuple[Color3f, Float, Point2f]:
         """The derivative by lines that belong to points of the cube, that for edges of the speed 1, and the places."""
         window, sensor = Point2f(self._sensor.film().crop_size()), seen_through(self._sensor, sampler)
-        length, parts = (LONG, PARTS) if self._chains.longest else (SHORT, 1)
+        length = LONG if self._chains.longest else SHORT
         # Edges at the border of the film are crossed by lines about places beyond it, too.
         room = window + length
         middle = Point2f(points.x, points.y) * room - 0.5 * length
@@ -104,7 +104,7 @@ class FilmEdges:
             return found
 
         apart = PRECISION * max(self._sensor.film().crop_size())
-        lines = Lines(rays, length, apart, parts, bits, 0, self._meetings)
+        lines = Lines(rays, length, apart, PARTS, bits, 0, self._meetings)
         value, mass, found = edges_on_lines(
             self._integrator, self._chains, lines, sampler, Bool(True), lambda _: Color3f(dr.detach(weight))
         )

@@ -60,7 +60,11 @@ def head(degrees: float) -> Edit:
 
 MOTIONS = {"aside": shift("sensor.to_world", 0.5, 0.2, 0.3), "turn": head(8)}
 ZOOM = {"x_fov": edit("sensor.x_fov", 8), "principal point": edit("sensor.principal_point_offset_x", 0.15)}
-LENS = {"aperture": edit("sensor.aperture_radius", 0.3), "focus": edit("sensor.focus_distance", 2)}
+LENS = {
+    "x_fov": ZOOM["x_fov"],
+    "aperture": edit("sensor.aperture_radius", 0.3),
+    "focus": edit("sensor.focus_distance", 2),
+}
 FISHEYE = {"focal length": edit("sensor.x_focal", 0.1), "principal point": ZOOM["principal point"]}
 
 # ---------------------------------------------------------------- scenes
@@ -236,11 +240,11 @@ VIEWS = {
     "a textured mesh": View(textured_mesh, PINHOLE, MOTIONS | ZOOM, (DIRECT,)),
     "a ball of glass": View(glass, PINHOLE, MOTIONS | ZOOM, (paths(6),)),
     "overlapping bodies": View(overlaps, PINHOLE, MOTIONS | ZOOM, (paths(3),)),
-    "soft shadows": View(soft_shadows, PINHOLE, MOTIONS | ZOOM, (DIRECT, paths(2))),
+    "soft shadows": View(soft_shadows, PINHOLE, MOTIONS | ZOOM, (DIRECT, paths(2)), step=0.05, spp_difference=4096),
     "rough metals": View(rough_bodies, PINHOLE, MOTIONS | ZOOM, (paths(3),)),
     "a mirror": View(mirror, PINHOLE, MOTIONS | ZOOM, (paths(4),)),
     "a room": View(room, INSIDE, MOTIONS | ZOOM, (paths(6),), step=0.05, spp_difference=8192),
-    "a lens": View(overlaps, THICK, MOTIONS | ZOOM | LENS, (DIRECT,)),
+    "a lens": View(overlaps, THICK, MOTIONS | LENS, (DIRECT,)),
     "a room in fog": View(foggy, INSIDE, MOTIONS | ZOOM, (IN_FOG,), step=0.05, spp_difference=8192),
     "instances": View(instances, WIDE, MOTIONS | FISHEYE, (paths(2),)),
 }
