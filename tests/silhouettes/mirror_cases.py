@@ -8,7 +8,7 @@ import numpy as np
 
 import djpt
 from djpt.core.transforms import ScalarTransform4f as T
-from tests.silhouettes.cases import FLOOR, Case, ball, plate, sensor, shift, sky, slide, turn
+from tests.silhouettes.cases import FLOOR, SIZE, Case, ball, plate, sensor, shift, sky, slide, turn
 
 MIRROR = {"type": "conductor"}
 GLASS = {"type": "dielectric"}
@@ -143,3 +143,24 @@ CASES: dict[str, Case] = {
         depth=3,
     ),
 }
+FIELDS = {"type": "checkerboard", "to_uv": T().scale([6, 6, 1])}
+RIM = sensor()
+RIM["film"] = {**RIM["film"], "width": 128, "height": 128, "crop_width": SIZE, "crop_height": SIZE}
+RIM["film"] |= {"crop_offset_x": 95, "crop_offset_y": 50}
+CASES["a camera, step aside: the rim of a round mirror before fields"] = Case(
+    lambda: {
+        "mirror": ball(MIRROR, radius=1.3),
+        "wall": {
+            "type": "rectangle",
+            "to_world": T().translate([0.1, 0.2, -2]).scale(5),
+            "bsdf": {"type": "diffuse", "reflectance": FIELDS},
+        },
+        "sky": {"type": "constant", "radiance": 1.0},
+        "sensor": RIM,
+    },
+    shift("sensor.to_world"),
+    PRB,
+    depth=3,
+    spp=2048,
+    step=0.004,
+)
