@@ -94,7 +94,10 @@ class Fisheye(MappedCamera):
             if self.projection == "stereographic" and fov > 350:
                 raise props.error("fov", f"must be at most 350 for a stereographic projection, found {fov:g}")
             axis = fov_axis(props, width / height)
-            rho = self.radius(math.radians(fov) / 2, {})
+            values = {name: float(getattr(self, name)[0]) for name in COEFFICIENTS}
+            rho = self.radius(math.radians(fov) / 2, values)
+            if given and (np.diff(self.radius(np.linspace(0, math.radians(fov) / 2, 2049), values)) <= 0).any():
+                raise props.error("fov", f"can't be {fov:g}: with these coefficients, the picture turns back before")
             reach = {"x": 1.0, "y": height / width, "diagonal": math.hypot(1.0, height / width)}[axis]
             # Half of the film along the axis, in image widths, is rho focal lengths long.
             focal = 0.5 * reach / rho

@@ -174,6 +174,7 @@ def test_edits_compile_nothing(name: str) -> None:
         ({"type": "fisheye", "projection": "equisoli"}, "did you mean 'equisolid'"),
         ({"type": "fisheye", "fov": 400}, r"'fov' must lie in \(0, 360\)"),
         ({"type": "fisheye", "k1": 0.1, "projection": "equisolid"}, "'projection' can't be given together with 'k1'"),
+        ({"type": "fisheye", "k1": -0.5, "fov": 120}, "'fov' can't be 120: with these coefficients, the picture turns"),
         ({"type": "fisheye", "fx": 100, "fov": 90}, "'fov' can't be given together with a focal length in pixels"),
         ({"type": "panorama", "azimuth_to": 190}, "'azimuth_to' must be at most 360 more"),
         ({"type": "panorama", "elevation_to": 91}, r"'elevation_to' must lie in \[-90, 90\]"),
@@ -185,6 +186,14 @@ def test_edits_compile_nothing(name: str) -> None:
 def test_errors(entries: dict[str, Any], message: str) -> None:
     with pytest.raises(SceneError, match=message):
         djpt.load_dict(entries)
+
+
+def test_coefficients_and_a_field_of_view() -> None:
+    """The edge of the film is where the polynomial takes half of the field."""
+    film = {"type": "hdrfilm", "width": 8, "height": 8}
+    focal = djpt.load_dict({"type": "fisheye", "k1": 0.1, "fov": 90, "film": film}).x_focal[0]
+    half = np.pi / 4
+    assert focal == pytest.approx(0.5 / (half * (1 + 0.1 * half**2)), rel=1e-6)
 
 
 def test_the_eyes_of_a_stereo_panorama() -> None:
