@@ -6,7 +6,15 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.core.records import BSDFContext, BSDFFlags, DirectionSample3f, Interaction3f, Ray3f, has_flag
+from djpt.core.records import (
+    BSDFContext,
+    BSDFFlags,
+    DirectionSample3f,
+    Interaction3f,
+    Ray3f,
+    SurfaceInteraction3f,
+    has_flag,
+)
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
 from djpt.errors import RenderError
@@ -139,19 +147,19 @@ class DirectProjectiveIntegrator(PSIntegrator):
 
     def sample_radiances(
         self, scene: Any, ss: SilhouetteSample3f, curr_depth: Any, sampler: Any, active: Any
-    ) -> tuple[Color3f, Color3f, Bool]:
+    ) -> tuple[Color3f, Color3f, SurfaceInteraction3f, Bool]:
         depth = int(curr_depth[0]) if dr.is_array_v(curr_depth) else int(curr_depth)
         if depth not in (0, 1):
             raise RenderError(f"direct_projective: silhouettes are on the first two edges of a path, found {depth}")
-        si, behind, active = self.both_sides(scene, ss, depth == 0, active)
+        si, seen_behind, behind, active = self.both_sides(scene, ss, depth == 0, active)
         if depth == 1:
-            back, front = (point.emitter(scene).eval(point, active) for point in (behind, si))
+            back, front = (point.emitter(scene).eval(point, active) for point in (seen_behind, si))
         else:
             # The same random numbers on both sides: where they look alike, the difference vanishes.
             ray = ss.spawn_ray()
-            back = self.shade(scene, sampler.clone(), ray, 0, behind, active)
+            back = self.shade(scene, sampler.clone(), ray, 0, seen_behind, active)
             front = self.shade(scene, sampler, ray, 0, si, active)
-        return dr.select(active, Color3f(front), 0), dr.select(active, Color3f(back), 0), active
+        return dr.select(active, Color3f(front), 0), dr.select(active, Color3f(back), 0), behind, active
 
     def radiance_along(self, scene: Any, ray: Any, si: Any, depth: Any, sampler: Any, active: Bool) -> Color3f:
         seen = active & (UInt32(depth) == 0)

@@ -214,13 +214,13 @@ class PathProjectiveIntegrator(PSIntegrator):
 
     def sample_radiances(
         self, scene: Any, ss: SilhouetteSample3f, curr_depth: Any, sampler: Any, active: Any
-    ) -> tuple[Color3f, Color3f, Bool]:
+    ) -> tuple[Color3f, Color3f, SurfaceInteraction3f, Bool]:
         ray = ss.spawn_ray()
-        si, behind, active = self.both_sides(scene, ss, UInt32(curr_depth) == 0, active)
+        si, seen_behind, behind, active = self.both_sides(scene, ss, UInt32(curr_depth) == 0, active)
         # The same random numbers on both sides: where they look alike, the difference vanishes.
-        back = self.shade(scene, sampler.clone(), ray, curr_depth, behind, active)
+        back = self.shade(scene, sampler.clone(), ray, curr_depth, seen_behind, active)
         front = self.shade(scene, sampler, ray, curr_depth, si, active)
-        return dr.select(active, Color3f(front), 0), dr.select(active, Color3f(back), 0), active
+        return dr.select(active, Color3f(front), 0), dr.select(active, Color3f(back), 0), behind, active
 
     def sample_importance(
         self,

@@ -283,9 +283,8 @@ class ProjectiveDetail:
             if has_strips(scene):
                 distance = scene.ray_intersect(ss.toward_viewer().spawn_ray(), active=active).t
                 ss = ss.replaced(sight=distance, strip=STRIP * PRECISION * distance)
-            front, back, known = parent.sample_radiances(scene, ss, edges - 1, sampler, active)
+            front, back, behind, known = parent.sample_radiances(scene, ss, edges - 1, sampler, active)
             active = active & known
-            behind = scene.ray_intersect(ss.spawn_ray(), active=active)
             back = back - light_of_lamps(scene, behind, active)
             weight = dr.select(active, importance * (ss.foreshortening * dr.rcp(ss.pdf)), 0)
             if preprocess:

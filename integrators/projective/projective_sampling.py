@@ -23,7 +23,7 @@ from djpt.films.moving_samples import moving_samples
 from djpt.integrators.ad_integrator import UNBOUNDED, RBIntegrator, attached, modes, propagate
 from djpt.integrators.projective.beams import BeamSides, has_sides
 from djpt.integrators.projective.circles import edge_of_circle
-from djpt.integrators.projective.detail import ProjectiveDetail
+from djpt.integrators.projective.detail import ProjectiveDetail, has_strips
 from djpt.integrators.projective.film_edges import FilmEdges
 from djpt.integrators.projective.kept import keep
 from djpt.integrators.projective.moving_camera import parts_of_image
@@ -147,18 +147,19 @@ class PSIntegrator(RBIntegrator):
         """
         if type(self).sample_radiances is PSIntegrator.sample_radiances:
             raise NotImplementedError(f"{type(self).__name__} needs a method sample_radiance_difference(scene, ss, ..)")
-        front, back, _ = self.sample_radiances(scene, ss, curr_depth, sampler, active)
+        front, back, _, _ = self.sample_radiances(scene, ss, curr_depth, sampler, active)
         return front - back, dr.any(front != back)
 
     def sample_radiances(
         self, scene: Scene, ss: SilhouetteSample3f, curr_depth: Any, sampler: Sampler, active: Bool | bool
-    ) -> tuple[Color3f, Color3f, Bool]:
-        """The radiance of the surface at silhouettes, that of what is behind, and where both are known.
+    ) -> tuple[Color3f, Color3f, SurfaceInteraction3f, Bool]:
+        """The radiance of the surface at silhouettes, that of what is behind, its points, and where both are known.
 
-        By default the latter is 0, and the former the difference: shadows on points that move then stay behind.
+        By default the second is 0, and the first the difference: shadows on points that move then stay behind.
         """
         difference, known = self.sample_radiance_difference(scene, ss, curr_depth, sampler, [], active)
-        return difference, Color3f(0), known
+        behind = self.first_hit(scene, ss.spawn_ray(), Bool(active) & known, UInt32(curr_depth) == 0)
+        return difference, Color3f(0), behind, known
 
     def sample_importance(
         self,
@@ -455,34 +456,29 @@ class PSIntegrator(RBIntegrator):
         rays, active = self.sample(**options, δL=None, δaovs=None, state_in=None, project=True)[3]
         return rays, active
 
-    def front(self, scene: Scene, ss: SilhouetteSample3f, active: Bool | bool) -> tuple[SurfaceInteraction3f, Bool]:
-        """The surface points at silhouettes as their viewers see them, and where they are known: see `foreground`.
-
-        Of textures that jump, they show what is at the inner border of the strip `ss.strip`.
-        """
-        si, known = foreground(scene, scene.silhouette_shapes(), ss, active)
-        patches, mirrors = Patches(scene.geometry.contents.shapes), has_mirrors(scene)
-        if not patches and not mirrors:
-            return si, known
-        if patches:
-            # Random lines find the edges of patches, also where these are edges of triangles.
-            known &= ~patches.differ(si, scene.ray_intersect(ss.spawn_ray(), active=known))
-        begin = ss.p - ss.sight * ss.d - ss.strip * ss.n
-        inner = scene.ray_intersect(Ray3f(begin, ss.d), active=known & (ss.strip > 0))
-        there = inner.is_valid() & (inner.shape_index == si.shape_index)
-        other = there & (patches.number(inner) != patches.number(si))
-        si = si.replaced(uv=dr.select(other, inner.uv, si.uv))
-        if mirrors:
-            si = dr.select(there & has_flag(si.bsdf().flags(), BSDFFlags.Delta), toward_viewer(inner, ss.d), si)
-        return si, known
-
     def both_sides(
         self, scene: Scene, ss: SilhouetteSample3f, from_sensor: Bool | bool, active: Bool | bool
-    ) -> tuple[SurfaceInteraction3f, SurfaceInteraction3f, Bool]:
-        """What viewers see at silhouettes, what they see behind, and where both are known: see `front`."""
-        front, known = self.front(scene, ss, active)
+    ) -> tuple[SurfaceInteraction3f, SurfaceInteraction3f, SurfaceInteraction3f, Bool]:
+        """What viewers see at silhouettes, and behind them; the hits there; and where both are known: see `foreground`.
+
+        In narrow wedges what is seen on both sides is looked at off the edge, and isn't where rays hit it. Of textures
+        that jump, silhouettes show what is at the inner border of the strip `ss.strip`.
+        """
+        front, known = foreground(scene, scene.silhouette_shapes(), ss, active)
         behind = self.first_hit(scene, ss.spawn_ray(), known, from_sensor)
-        return *clear_of_wedges(scene, front, behind, ss.d, known), known
+        if has_strips(scene):
+            patches = Patches(scene.geometry.contents.shapes)
+            # Random lines find the edges of patches, also where these are edges of triangles.
+            known = known & ~patches.differ(front, behind)
+            begin = ss.p - ss.sight * ss.d - ss.strip * ss.n
+            inner = scene.ray_intersect(Ray3f(begin, ss.d), active=known & (ss.strip > 0))
+            there = inner.is_valid() & (inner.shape_index == front.shape_index)
+            other = there & (patches.number(inner) != patches.number(front))
+            front = front.replaced(uv=dr.select(other, inner.uv, front.uv))
+            if has_mirrors(scene):
+                smooth = there & has_flag(front.bsdf().flags(), BSDFFlags.Delta)
+                front = dr.select(smooth, toward_viewer(inner, ss.d), front)
+        return *clear_of_wedges(scene, front, behind, ss.d, known), behind, known
 
     def radiance_along(
         self, scene: Scene, ray: Any, si: SurfaceInteraction3f, depth: Any, sampler: Sampler, active: Bool
