@@ -13,13 +13,11 @@ import drjit as dr
 
 from djpt.core.records import Ray3f, RayFlags, SurfaceInteraction3f
 from djpt.jit.types import Bool, Vector3f
-from djpt.shapes.silhouettes.foreground import toward_viewer
+from djpt.shapes.silhouettes.foreground import clearance, toward_viewer
 from djpt.textures.patches import adjoin
 
 __all__ = ["clear_of_wedges"]
 
-HEIGHTS = 2
-"""How far above the other surface points are moved, in heights at which rays leave."""
 LEAST_SINE = 0.02
 """That of the narrowest wedge of which points are cleared."""
 
@@ -43,8 +41,8 @@ def clear_of_wedges(
     found = []
     for si, own, other in ((a, m_a, m_b), (b, m_b, m_a)):
         height = dr.norm(si.offset_p(d) - si.p)
-        # In the surface, and away from the other one.
-        aside = dr.fma(own, -cosine, other) * (HEIGHTS * height / square)
+        # In the surface, and away from the other one: a vector of the length of the sine.
+        aside = dr.fma(own, -cosine, other) * clearance(height, square)
         above = Ray3f(si.p + aside + own * height, -own)
         moved = scene.ray_intersect(above, int(RayFlags.AllNonDifferentiable), active=narrow)
         lies = narrow & moved.is_valid() & (moved.t < 2 * height) & (moved.shape_index == si.shape_index)

@@ -11,10 +11,13 @@ from djpt.core.records import RAY_EPSILON, Ray3f, RayFlags, SurfaceInteraction3f
 from djpt.jit.types import Bool, Float, Normal3f, Point3f, Vector3f
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
-__all__ = ["foreground", "toward_viewer"]
+__all__ = ["clearance", "foreground", "toward_viewer"]
 
 LEAST_COSINE = 1e-5
 """The least cosine of a viewer's direction with a shading normal that is bent towards it."""
+
+HEIGHTS = 2
+"""How far above the other surface of a narrow wedge points are clear of it, in heights at which rays leave."""
 
 
 def foreground(
@@ -57,6 +60,11 @@ def toward_viewer(si: SurfaceInteraction3f, d: Vector3f) -> SurfaceInteraction3f
     """Surface points that are seen along `d`; where the shading normal points away, it is bent until it doesn't."""
     frame = bent_frame(si, d, dr.select(dr.dot(si.n, d) < 0, Float(1), -1))
     return si.replaced(sh_frame=frame, wi=dr.select(si.is_valid(), frame.to_local(-d), si.wi))
+
+
+def clearance(height: Float, sine: Float) -> Float:
+    """How far off the edge of a narrow wedge points are clear of it, given the height at which rays leave."""
+    return HEIGHTS * height / sine
 
 
 def bent_frame(si: SurfaceInteraction3f, d: Vector3f, side: Float) -> Frame3f:

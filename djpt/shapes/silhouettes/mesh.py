@@ -34,6 +34,7 @@ from djpt.shapes.silhouettes.base import (
     edge_normal,
     of_three,
 )
+from djpt.shapes.silhouettes.foreground import clearance
 from djpt.shapes.silhouettes.moving import attached_place
 from djpt.shapes.silhouettes.normals import attached_normals
 from djpt.shapes.silhouettes.patterns import AT_SEAMS, EVERYWHERE, jumps_of_textures
@@ -344,7 +345,7 @@ class MeshSilhouette(Silhouette):
         # In a narrow hollow, the point above must not be beyond the other triangle.
         narrow = ahead & (facing == other_facing) & (dr.dot(own, other) < 0)
         sine = dr.norm(dr.cross(own, other)) * dr.norm(dr.cross(ss.silhouette_d, middle))
-        inset = dr.clip(2 * RAY_EPSILON * (1 + dr.max(dr.abs(ss.p))) * dr.rcp(sine), INSET, MOST_INSET)
+        inset = dr.clip(clearance(RAY_EPSILON * (1 + dr.max(dr.abs(ss.p))), sine), INSET, MOST_INSET)
         point = dr.fma(dr.select(narrow, inset, INSET), middle, ss.p)
         return point, -n if self.shape.flip_normals else n
 
