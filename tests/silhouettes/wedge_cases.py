@@ -18,9 +18,9 @@ SHIFT = np.float32([0.13, 0, 0])
 FROM_ABOVE, ASIDE = sensor((0.8, -3.2, 5), fov=26), sensor((0.5, -6, 3), fov=24)
 
 
-def furrow(angle: float = 40.0) -> Any:
-    """Two walls that meet in a line beside the y axis, off the borders of pixels, and are open towards +z."""
-    x, z = 2 * np.sin(np.radians(angle / 2)), 2 * np.cos(np.radians(angle / 2))
+def furrow() -> Any:
+    """Two walls, 40 degrees apart and open towards +z, that meet in a line beside the y axis, off borders of pixels."""
+    x, z = 2 * np.sin(np.radians(20)), 2 * np.cos(np.radians(20))
     points = [[0, -2, 0], [0, 2, 0], [x, -2, z], [x, 2, z], [-x, -2, z], [-x, 2, z]]
     faces = np.array([[0, 2, 1], [1, 2, 3], [0, 1, 4], [1, 5, 4]], np.uint32)
     return djpt.Mesh("moving", np.float32(points) + SHIFT, faces, props={"bsdf": WHITE, "face_normals": True})
