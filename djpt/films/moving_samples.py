@@ -8,6 +8,7 @@ from typing import Any, cast
 import drjit as dr
 import numpy as np
 
+from djpt.jit.kernels import aligned_floats
 from djpt.jit.types import Bool, Float, Float64, Int32, Point2f, TensorXf
 
 __all__ = ["moving_samples"]
@@ -37,8 +38,11 @@ def moving_samples(
     """
     width, height = film.crop_size()
     image = dr.custom(MovingSamples, place, list(channels), film.rfilter(), (height, width), Bool(active))
-    inverse = weight / np.multiply.outer(*(coverage(film.rfilter(), n, film.border) for n in (height, width)))
-    return image * TensorXf(np.repeat(inverse[..., None], len(channels), axis=2).astype(np.float32))
+    covered = np.multiply.outer(*(coverage(film.rfilter(), n, film.border) for n in (height, width)))
+    # Memory that isn't aligned, as NumPy's is by chance, takes other kernels.
+    inverse = aligned_floats((height, width, len(channels)))
+    inverse[...] = (weight / covered)[..., None]
+    return image * TensorXf(inverse)
 
 
 def coverage(rfilter: Any, count: int, border: int) -> Any:
@@ -51,8 +55,10 @@ def coverage(rfilter: Any, count: int, border: int) -> Any:
         if inner is not None and reach < pixel < count - 1 - reach:
             result[pixel] = inner
             continue
+        places = aligned_floats(x.shape)
+        places[...] = x - pixel - 0.5
         with dr.suspend_grad():
-            values = np.array(rfilter.eval(Float((x - pixel - 0.5).astype(np.float32))), np.float64)
+            values = np.array(rfilter.eval(Float(places)), np.float64)
         result[pixel] = values.sum() / STEPS
         if reach < pixel < count - 1 - reach:
             inner = result[pixel]
