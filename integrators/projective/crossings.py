@@ -21,6 +21,7 @@ import drjit as dr
 from djpt.core.records import BSDFFlags, Ray3f, SurfaceInteraction3f, has_flag
 from djpt.integrators.projective.kept import keep
 from djpt.integrators.projective.smooth_chains import Chains, side_of
+from djpt.integrators.projective.strips import beside_outline
 from djpt.integrators.projective.wedges import clear_of_wedges
 from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point3f, UInt32, Vector2f, Vector3f
 from djpt.textures.patches import adjoin
@@ -189,7 +190,8 @@ class Edge:
             aside = self.chains.attached(first, lines.bits, self.link, lanes)
             inner = self.chains.hit(aside, self.link, lanes)
             lanes &= self.chains.surface(inner) == self.chains.surface(si)
-            o, d = dr.select(lanes, aside.o, ray.o), dr.select(lanes, aside.d, ray.d)
+            inner, onward = beside_outline(inner, aside.d, si)
+            o, d = dr.select(lanes, aside.o, ray.o), dr.select(lanes, onward, ray.d)
             shown.append((Ray3f(o, d, maxt=ray.maxt), dr.select(lanes, inner, si)))
         return shown
 

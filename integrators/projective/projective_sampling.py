@@ -33,6 +33,7 @@ from djpt.integrators.projective.receivers import followed, only_lamps_shine, ou
 from djpt.integrators.projective.self_views import Approach
 from djpt.integrators.projective.shadows import LampShadows, ShadowEdges
 from djpt.integrators.projective.spread import lens_points, spread
+from djpt.integrators.projective.strips import beside_outline
 from djpt.integrators.projective.wedges import clear_of_wedges
 from djpt.integrators.volpath import VolumetricPath
 from djpt.jit.frozen import recording
@@ -476,8 +477,8 @@ class PSIntegrator(RBIntegrator):
             other = there & (patches.number(inner) != patches.number(front))
             front = front.replaced(uv=dr.select(other, inner.uv, front.uv))
             if has_mirrors(scene):
-                smooth = there & has_flag(front.bsdf().flags(), BSDFFlags.Delta)
-                front = dr.select(smooth, toward_viewer(inner, ss.d), front)
+                inner, _ = beside_outline(inner, ss.d, front)
+                front = dr.select(there & has_flag(front.bsdf().flags(), BSDFFlags.Delta), inner, front)
         return *clear_of_wedges(scene, front, behind, ss.d, known), behind, known
 
     def radiance_along(

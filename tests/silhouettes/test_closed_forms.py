@@ -13,6 +13,7 @@ from djpt.core.transforms import ScalarTransform4f as T
 from djpt.jit.types import Float, Point3f, UInt32
 from djpt.scene.instance_copies import with_copies
 from djpt.shapes.mesh import Mesh
+from djpt.shapes.silhouettes.foreground import seen_at, toward_viewer
 from tests.kit.axes import unit
 
 PERIMETER, INTERIOR, LUNE, SPHERE, CREASES = 1, 2, 4, 8, 32
@@ -191,3 +192,25 @@ def test_copies_move_as_their_instance_does() -> None:
     for p, change in zip(at, places, strict=True):
         expected = [-np.pi / 2 * p[1], np.pi / 2 * p[0], 1]
         np.testing.assert_allclose(np.array(dr.grad(change)).ravel(), expected, atol=1e-4)
+
+
+@pytest.mark.parametrize("origin", [(-0.1, -0.5, -4.0), (0.2, 0.1, 0.3)])
+@pytest.mark.parametrize("cosine", [0.0, 0.4, None])
+def test_points_at_another_cosine_mirror_light_from_where_they_did(origin: tuple[float, ...], cosine: Any) -> None:
+    """Points of a ball, seen from outside and from inside; None: at their own cosine, which changes nothing."""
+    scene = djpt.load_dict({"type": "scene", "ball": {"type": "sphere"}})
+    d = djpt.Vector3f(*unit(0.1, 0.2, 1))
+    si = toward_viewer(scene.ray_intersect(djpt.Ray3f(djpt.Point3f(*origin), d)), d)
+    own = float(si.wi.z[0])
+    wanted = abs(own) if cosine is None else cosine
+    turned, onward = seen_at(si, d, Float(wanted))
+    expected = si.to_world(djpt.Vector3f(-si.wi.x, -si.wi.y, si.wi.z))
+    mirrored = turned.to_world(djpt.Vector3f(-turned.wi.x, -turned.wi.y, turned.wi.z))
+    np.testing.assert_allclose(np.array(mirrored), np.array(expected), atol=1e-5)
+    assert float(turned.wi.z[0]) == pytest.approx(np.copysign(wanted, own), abs=3e-5)
+    # The viewer is on the same side, and looks that way.
+    again = toward_viewer(turned, onward)
+    np.testing.assert_allclose(np.array(again.wi), np.array(turned.wi), atol=1e-6)
+    if cosine is None:
+        for a, b in ((onward, d), (turned.n, si.n), (turned.sh_frame.n, si.sh_frame.n), (turned.wi, si.wi)):
+            np.testing.assert_allclose(np.array(a), np.array(b), atol=1e-5)

@@ -11,7 +11,7 @@ from djpt.core.records import RAY_EPSILON, Ray3f, RayFlags, SurfaceInteraction3f
 from djpt.jit.types import Bool, Float, Normal3f, Point3f, Vector3f
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
-__all__ = ["clearance", "foreground", "toward_viewer"]
+__all__ = ["clearance", "foreground", "seen_at", "toward_viewer"]
 
 LEAST_COSINE = 1e-5
 """The least cosine of a viewer's direction with a shading normal that is bent towards it."""
@@ -62,6 +62,26 @@ def toward_viewer(si: SurfaceInteraction3f, d: Vector3f) -> SurfaceInteraction3f
     return si.replaced(sh_frame=frame, wi=dr.select(si.is_valid(), frame.to_local(-d), si.wi))
 
 
+def seen_at(si: SurfaceInteraction3f, d: Vector3f, cosine: Float) -> tuple[SurfaceInteraction3f, Vector3f]:
+    """Surface points that mirror light from where they do, but as if seen at another cosine; and the way they are seen.
+
+    Args:
+        si: the points.
+        d: the direction in which they are seen.
+        cosine: that of the angle with the normal which decides how much they reflect; not below that of bent normals.
+    """
+    n = dr.mulsign(Vector3f(si.sh_frame.n), -dr.dot(si.sh_frame.n, d))
+    mirrored = dr.fma(n, -2 * dr.dot(n, d), d)
+    c = dr.maximum(cosine, 2 * LEAST_COSINE)
+    across = dr.normalize(dr.fma(mirrored, -dr.dot(mirrored, n), n))
+    turned = dr.fma(mirrored, c, across * dr.safe_sqrt(1 - dr.square(c)))
+    onward = dr.fma(turned, -2 * c, mirrored)
+    shading = Normal3f(dr.mulsign(turned, dr.dot(si.sh_frame.n, n)))
+    frame = frame_about(shading, si.sh_frame.s)
+    outer = Normal3f(dr.mulsign(turned, dr.dot(si.n, n)))
+    return si.replaced(n=outer, sh_frame=frame, wi=frame.to_local(-onward)), onward
+
+
 def clearance(height: Float, sine: Float) -> Float:
     """How far off the edge of a narrow wedge points are clear of it, given the height at which rays leave."""
     return HEIGHTS * height / sine
@@ -76,7 +96,12 @@ def bent_frame(si: SurfaceInteraction3f, d: Vector3f, side: Float) -> Frame3f:
     cosine = side * dr.dot(shading, d)
     bent = dr.normalize(shading - side * (cosine + LEAST_COSINE) * d)
     away = cosine > -LEAST_COSINE
-    s = dr.fma(bent, -dr.dot(bent, si.sh_frame.s), si.sh_frame.s)
-    s = dr.select(dr.squared_norm(s) > 1e-6, dr.normalize(s), Frame3f.from_normal(bent).s)
-    found: Frame3f = dr.select(away, Frame3f(s, dr.cross(bent, s), bent), si.sh_frame)
+    found: Frame3f = dr.select(away, frame_about(bent, si.sh_frame.s), si.sh_frame)
     return found
+
+
+def frame_about(n: Normal3f, tangent: Vector3f) -> Frame3f:
+    """The frame about a normal whose first tangent is as near as it can be to a given one."""
+    s = dr.fma(n, -dr.dot(n, tangent), tangent)
+    s = dr.select(dr.squared_norm(s) > 1e-6, dr.normalize(s), Frame3f.from_normal(n).s)
+    return Frame3f(s, dr.cross(n, s), n)

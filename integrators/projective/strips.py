@@ -1,0 +1,34 @@
+"""What smooth surfaces show in the strips beside their outlines, in which the edges of that are left to the outlines.
+
+There reflected rays turn with the square root of the distance from the outline, and so does the fraction of the light
+that glass reflects: from 1 at the outline to 0.8 at the inner border of the strip. The edges count by the turn of
+rays; the fraction changes smoothly, and its change is in the derivative within the surface.
+"""
+
+from __future__ import annotations
+
+import drjit as dr
+
+from djpt.core.records import BSDFFlags, SurfaceInteraction3f, has_flag
+from djpt.jit.types import Vector3f
+from djpt.shapes.silhouettes.foreground import seen_at, toward_viewer
+
+__all__ = ["beside_outline"]
+
+
+def beside_outline(
+    inner: SurfaceInteraction3f, d: Vector3f, rim: SurfaceInteraction3f
+) -> tuple[SurfaceInteraction3f, Vector3f]:
+    """Points at the inner borders of strips that reflect as much as outlines do, and the way in which they are seen.
+
+    What also lets light pass straight on is seen as it is: that doesn't turn.
+
+    Args:
+        inner: the points.
+        d: the direction in which they are seen.
+        rim: what is seen of the same surfaces at their outlines.
+    """
+    flags = inner.bsdf().flags()
+    mirrors = has_flag(flags, BSDFFlags.DeltaReflection) & ~has_flag(flags, BSDFFlags.Null)
+    turned, onward = seen_at(inner, d, dr.abs(rim.wi.z))
+    return dr.select(mirrors, turned, toward_viewer(inner, d)), dr.select(mirrors, onward, d)
