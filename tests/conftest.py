@@ -79,6 +79,16 @@ def pytest_collection_finish() -> None:
     gc.freeze()
 
 
+@pytest.hookimpl(trylast=True)
+def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> None:
+    """Give back memory after slow tests, and after files.
+
+    Dr.Jit keeps that of arrays that are gone, by sizes, and over hundreds of tests these add up to gigabytes.
+    """
+    if item.get_closest_marker("slow") or nextitem is None or nextitem.path != item.path:
+        dr.flush_malloc_cache()
+
+
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     """Let a run end whatever dies, see `tests.kit.scheduling`."""
