@@ -21,15 +21,17 @@ HEAD = """# The gradient matrix
 Derivatives of small images with respect to each kind of parameter, compared with central differences. In each scene a
 number moves something or changes a parameter; the derivative is that of a weighted sum of all pixels, by forward mode.
 It is *right* if it is within 3 % of central differences, or Welch's test finds z below 4 (two steps, Richardson's
-extrapolation, images by `path` or `volpath`, 2048 or 8192 samples per pixel, 4 to 64 seeds, of differences up to
-512); *noisy* if it is, but the standard error is more than 3 % of the derivative and 0.1 % of the sum; *refused* if an
+extrapolation, images by `path` or `volpath`, 2048 to 32768 samples per pixel, 4 to 128 seeds, of differences up to
+1024); *noisy* if it is, but the standard error is more than 3 % of the derivative and 0.1 % of the sum; *refused* if an
 error says what would be wrong and what to do.
 
 Of cameras before scenes (64 x 64 pixels, random smooth weights; `tests/gradients/camera_scenes.py`) more is asked: 1 %
 or z below 4, with standard errors below 2 % of the derivative, or 0.02 % of the sum.
 
 `python benchmarks/gradient_matrix.py` made this page with djpt {version}, its cells at different times; `make check`
-measures them again, with at most 16 seeds.
+measures them again, with at most 16 seeds. It also draws scenes at random (`tests/gradients/random_scenes.py`), and
+compares whole images of derivatives with differences, block by block (`tests/gradients/block_maps.py`): sums hide what
+cancels.
 
 {count} of {total} cells were measured: {counts}.
 """
@@ -66,8 +68,8 @@ NOISY = """
   [vertices stay](theory/moving-geometry.md#cameras-in-media), and derivatives are precise.
 * *Rough and brushed metal, mirrors, glass and plastic*: [near outlines and at grazing
   angles](theory/moving-geometry.md#smooth-surfaces) derivatives grow without bound.
-* *A lamp that is a cylinder*: all of the derivative comes from its outline as the floor sees it, which paths from
-  outlines find at random. No seed of 24 is out of line: more samples help, about 120 seeds for 3 %.
+* *A lamp that is a cylinder*, in indirect light: all of the derivative comes from its outline as the floor sees it,
+  which paths from outlines find at random. No seed of 24 is out of line: more samples help, as in direct light.
 """
 
 

@@ -21,7 +21,7 @@ from djpt.errors import ParameterError, RenderError
 from djpt.jit.types import Float, TensorXf
 from djpt.validation.gradcheck.check import judged, standard_error
 
-__all__ = ["MOST_SEEDS", "Accuracy", "Cell", "Edit", "Node", "Outcome", "Scene", "camera_above"]
+__all__ = ["MOST_SEEDS", "Accuracy", "Cell", "Edit", "Node", "Outcome", "Scene", "camera_above", "moved"]
 
 SIZE = 12
 COLUMN = np.linspace(-1, 1, SIZE)
@@ -32,8 +32,11 @@ Node = dict[str, Any]
 Edit = Callable[[Any, Float], None]
 """Makes parameters depend on theta."""
 
-SEEDS, MOST_SEEDS, MOST_DIFFERENCES = 4, 64, 512
-"""The number of seeds to start with, and the largest ones of derivatives and of differences, which cost less."""
+SEEDS, MOST_SEEDS = 4, 64
+"""The number of seeds to start with, and the largest one of derivatives."""
+
+DIFFERENCES = 8
+"""The largest number of seeds of differences, which cost less, as a multiple of that of derivatives."""
 
 GUIDE = {"proj_seed_spp": 512, "octree_max_depth": 7}
 """The settings of guides for so few pixels: derivatives are right with any."""
@@ -100,14 +103,17 @@ class Cell:
     settings: Mapping[str, int] = field(default_factory=lambda: GUIDE)
     """Attributes of the integrator."""
     accuracy: Accuracy = Accuracy()
+    seeds: int = MOST_SEEDS
+    """The most seeds of derivatives."""
 
     @property
     def label(self) -> str:
         """A name among all cells."""
         return f"{self.group}: {self.name}, {self.integrator['type']}"
 
-    def measured(self, most: int = MOST_SEEDS) -> Outcome:
+    def measured(self, most: int | None = None) -> Outcome:
         """The comparison of the derivative, of at most so many seeds, with differences."""
+        most = most or self.seeds
         try:
             scene = Scene(self)
             found = [scene.forward(2 * seed + 101) for seed in range(SEEDS)]
@@ -122,7 +128,7 @@ class Cell:
                 difference = abs(float(np.mean(found)) - wanted)
                 z = judged(self.label, *pair, CRITICAL, paired=False).z
                 close = difference <= self.accuracy.close * abs(wanted)
-                more = len(found) < most, len(expected) < MOST_DIFFERENCES
+                more = len(found) < most, len(expected) < DIFFERENCES * most
                 # The side with the larger error first; if that may have no more seeds, the other one can't help much.
                 noisier = int(errors[1] > errors[0])
                 exhausted = not more[noisier] and errors[1 - noisier] < 0.5 * errors[noisier]
@@ -136,6 +142,22 @@ class Cell:
             return Outcome("refused", reason=str(refusal))
         right = close or abs(z) <= CRITICAL
         return Outcome(("right" if precise else "noisy") if right else "wrong", float(np.mean(found)), wanted, error, z)
+
+
+def moved(key: str, motion: Callable[[Float], Any]) -> Edit:
+    """A transform, or the vertices of a mesh, after a motion."""
+
+    def edit(params: Any, theta: Float) -> None:
+        node = key.rpartition(".")[0]
+        if key in params:
+            params[key] = motion(theta) @ djpt.Transform4f(params[key])
+        elif f"{node}.vertex_positions" in params:
+            points = dr.unravel(djpt.Point3f, Float(params[f"{node}.vertex_positions"]))
+            params[f"{node}.vertex_positions"] = dr.ravel(motion(theta).transform_point(points))
+        else:
+            raise RenderError(f"'{node}' has no place that can be differentiated")
+
+    return edit
 
 
 class Scene:
@@ -153,20 +175,24 @@ class Scene:
         plain = {"type": "volpath" if "vol" in cell.integrator["type"] else "path"}
         self.plain = djpt.load_dict({**plain, "max_depth": cell.integrator.get("max_depth", 2)})
 
-    def loss(self, theta: Float, seed: int, integrator: Any = None) -> Any:
-        """The weighted sum of pixels."""
+    def image(self, theta: Float, seed: int, integrator: Any = None) -> Any:
+        """The image, by the cell's integrator or another one."""
         self.cell.edit(self.start, theta)
         self.params.update()
         spp = self.cell.spp if integrator is None else self.cell.spp_difference or self.cell.spp
-        image = djpt.render(self.scene, self.params, integrator=integrator, spp=spp, seed=seed)
-        return dr.sum(image * TensorXf(self.cell.weights.astype(np.float32)), axis=None)
+        return djpt.render(self.scene, self.params, integrator=integrator, spp=spp, seed=seed)
+
+    def loss(self, theta: Float, seed: int, integrator: Any = None) -> Any:
+        """The weighted sum of pixels."""
+        return dr.sum(self.image(theta, seed, integrator) * TensorXf(self.cell.weights.astype(np.float32)), axis=None)
 
     def forward(self, seed: int) -> float:
         """The derivative by forward mode."""
-        theta = Float(0)
-        dr.enable_grad(theta)
-        dr.set_grad(theta, 1.0)
-        return float(np.array(dr.forward_to(self.loss(theta, seed))).ravel()[0])
+        return float(np.array(dr.forward_to(self.loss(moving(), seed))).ravel()[0])
+
+    def forward_image(self, seed: int) -> NDArray[np.float64]:
+        """The derivatives of all pixels by forward mode."""
+        return np.array(dr.forward_to(self.image(moving(), seed)), np.float64)
 
     def difference(self, seed: int) -> float:
         """The derivative by central differences with two steps, and Richardson's extrapolation."""
@@ -174,9 +200,23 @@ class Scene:
         at = {x: float(np.array(self.loss(Float(x), seed, self.plain)).ravel()[0]) for x in (-h, -h / 2, h / 2, h)}
         return (8 * (at[h / 2] - at[-h / 2]) - (at[h] - at[-h])) / (6 * h)
 
+    def difference_image(self, seed: int, step: float) -> NDArray[np.float64]:
+        """The derivatives of all pixels by central differences."""
+        behind, ahead = (np.array(self.image(Float(x), seed, self.plain), np.float64) for x in (-step, step))
+        found: NDArray[np.float64] = (ahead - behind) / (2 * step)
+        return found
+
     def brightness(self) -> float:
         """The loss itself."""
         return float(np.array(self.loss(Float(0), 1, self.plain)).ravel()[0])
+
+
+def moving() -> Float:
+    """A theta of 0 that changes at the rate 1."""
+    theta = Float(0)
+    dr.enable_grad(theta)
+    dr.set_grad(theta, 1.0)
+    return theta
 
 
 class Start(Mapping[str, Any]):

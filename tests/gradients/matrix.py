@@ -7,6 +7,7 @@ import functools
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,32 +16,15 @@ import numpy as np
 
 import djpt
 from djpt.core.transforms import ScalarTransform4f as T
-from djpt.errors import RenderError
 from djpt.jit.types import Float, TensorXf
 from tests.gradients.camera_scenes import cameras_of_scenes
-from tests.gradients.cells import Cell, Edit, Node, camera_above
+from tests.gradients.cells import MOST_SEEDS, Cell, Edit, Node, camera_above, moved
 from tests.kit import emitters, materials
 from tests.silhouettes.test_projective import globe
 
 __all__ = ["CELLS"]
 
 # ---------------------------------------------------------------- what depends on theta
-
-
-def moved(key: str, motion: Callable[[Float], Any]) -> Edit:
-    """A transform, or the vertices of a mesh, after a motion."""
-
-    def edit(params: Any, theta: Float) -> None:
-        node = key.rpartition(".")[0]
-        if key in params:
-            params[key] = motion(theta) @ djpt.Transform4f(params[key])
-        elif f"{node}.vertex_positions" in params:
-            points = dr.unravel(djpt.Point3f, Float(params[f"{node}.vertex_positions"]))
-            params[f"{node}.vertex_positions"] = dr.ravel(motion(theta).transform_point(points))
-        else:
-            raise RenderError(f"'{node}' has no place that can be differentiated")
-
-    return edit
 
 
 def shift(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Callable[[Float], Any]:
@@ -460,12 +444,30 @@ def differentiable(nodes: Callable[[], Node], start: str) -> list[str]:
     return [key for key in keys if not key.endswith(PLACES)]
 
 
+MUCH: dict[str, Any] = {"spp": 16384, "seeds": 2 * MOST_SEEDS}
+EFFORTS: dict[str, dict[str, Any]] = {
+    "a material that moves: rough metal, sphere, sky, prb_projective": MUCH,
+    "a material that moves: brushed metal, sphere, lamp, direct_projective": MUCH,
+    "a material that moves: brushed metal, mesh, map, direct_projective": MUCH,
+    "a material that moves: brushed metal, sphere, sky, prb_projective": MUCH,
+    "a material that moves: mirror, sphere, lamp, direct_projective": MUCH,
+    "a material that moves: glass, sphere, sky, prb_projective": MUCH,
+    "a light that moves: a lamp, cylinder, direct_projective": MUCH,
+    "a light that moves: a lamp, cylinder, prb_projective": MUCH,
+    "a light that moves: a lamp, mesh, prb_projective": MUCH,
+    "a camera before a scene: overlapping bodies, principal point, prb_projective": {"seeds": 2 * MOST_SEEDS},
+    "a light: sunsky-large sun, turbidity, prb": {**MUCH, "spp": 32768},
+}
+"""More samples and seeds for derivatives with much noise."""
+
+
 def all_cells() -> dict[str, Cell]:
     """All cells by label."""
     shapes = (moving_shapes, moving_surfaces, meeting_shapes, moving_receivers)
     cameras_of_all = (cameras, cameras_over_fields, cameras_of_scenes, cameras_in_media)
     parts = (*shapes, moving_lights, *cameras_of_all, parameters)
-    return {cell.label: cell for part in parts for cell in part()}
+    found = {cell.label: cell for part in parts for cell in part()}
+    return found | {label: replace(found[label], **effort) for label, effort in EFFORTS.items()}
 
 
 CELLS = all_cells()

@@ -1,0 +1,56 @@
+"""Scenes drawn at random, whose derivatives are compared with differences."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.gradients.cells import Cell
+from tests.gradients.random_scenes import random_cell
+
+SEEDS = (6, 0, 2, 3, 4, 5, 11, 7, 12, 14, 16, 18)
+"""Those of scenes that aren't refused, and in which something is seen to move; the first and the seventh are fast."""
+
+MOST = 16
+"""The most seeds of derivatives, and an eighth of those of differences."""
+
+WRONG = {
+    (8, 8, 7): "where an outline arrives at the floor behind it, its last 0.004 count as if the floor were dark",
+    (13, 3, 13): "a stretch of the edge of a shadow counts twice",
+}
+"""What is wrong with pixels, by the seed of the scene, the column and the row."""
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.sparse(6)
+def test_derivatives_of_random_scenes_are_not_wrong(seed: int) -> None:
+    cell = random_cell(seed)
+    outcome = cell.measured(MOST)
+    assert outcome.verdict != "wrong", f"{cell.label}: {outcome}"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("seed", "x", "y"), [pytest.param(*key, marks=pytest.mark.xfail(reason=why)) for key, why in WRONG.items()]
+)
+def test_pixels_that_were_found_to_be_wrong(seed: int, x: int, y: int) -> None:
+    outcome = pixel(random_cell(seed), x, y).measured(8)
+    assert outcome.verdict == "right", outcome
+
+
+def pixel(cell: Cell, x: int, y: int) -> Cell:
+    """A pixel alone, in direct light and with many samples."""
+    node = cell.camera()
+    window = {"crop_offset_x": x, "crop_offset_y": y, "crop_width": 1, "crop_height": 1}
+    node["film"] = {**node["film"], **window}
+    return replace(
+        cell,
+        camera=lambda: node,
+        weights=np.ones((1, 1, 3)),
+        integrator={"type": "direct_projective"},
+        step=0.008,
+        spp=65536,
+        spp_difference=65536,
+    )
