@@ -301,6 +301,20 @@ def test_an_edit_moves_curves_and_compiles_nothing(kind: str, tmp_path: Path) ->
     np.testing.assert_array_equal(np.array(hits(watched.scene, o, d).t), np.array(expected.t))
 
 
+def test_an_edit_that_bends_curves_changes_their_pieces(tmp_path: Path) -> None:
+    """A straight curve is one piece, and a bent one is many: none is lost, and none is left over."""
+    straight = np.column_stack([np.linspace(-1, 1, 5), np.zeros((5, 2)), np.full(5, 0.1)])
+    bent = straight + 0.4 * np.outer([1, -1, 1, -1, 1], [0, 1, 0, 0])
+    o, d = rays(3000, size=0.7)
+    scenes = [djpt.load_dict(scene_of("bsplinecurve", file_of([c], tmp_path))) for c in (straight, bent)]
+    first = [np.array(hits(scene, o, d).t) for scene in scenes]
+    for scene, points, expected in zip(scenes, (bent, straight), reversed(first), strict=True):
+        params = djpt.traverse(scene)
+        params["hair.control_points"] = points.ravel().astype(np.float32)
+        params.update()
+        np.testing.assert_array_equal(np.array(hits(scene, o, d).t), expected)
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_curves_beside_a_smooth_mesh(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The word that is a face in the record of a triangle numbers pieces in those of curves, beyond the last face."""

@@ -191,6 +191,8 @@ class Tree:
     cost: float
     part: MeshPart
     corners: NDArray[np.float32]
+    placed: int
+    """The number of boxes beside the triangles."""
 
 
 def usual_size(corners: NDArray[np.float32], otherwise: float) -> float:
@@ -217,13 +219,13 @@ class CompiledTrees:
         with workers(part.face_count, None) as team:
             corners = corners_of(part.meshes, team)
         built, cost = self._fitted(number, corners, boxes)
-        self._trees[number] = Tree(built, cost, part, corners)
+        self._trees[number] = Tree(built, cost, part, corners, len(boxes))
         return built.extent
 
     def _fitted(self, number: int, corners: NDArray[np.float32], boxes: NDArray[np.float32]) -> tuple[Built, float]:
         """The old tree refitted, or a new one if rays would take too many steps through the old."""
         old = self._trees.get(number)
-        if old is not None and len(old.built.order) == len(corners):
+        if old is not None and len(old.built.order) == len(corners) and old.placed == len(boxes):
             cost = refit(old.built, corners, boxes)
             if cost <= REBUILD * old.cost:
                 return old.built, old.cost
