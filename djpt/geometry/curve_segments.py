@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
@@ -14,23 +13,13 @@ from djpt.core.frame import Frame3f
 from djpt.jit.kernels import float_in, maximum, minimum, own_copy, own_floats
 from djpt.jit.types import Array4f, ArrayXu, Bool, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.shapes.base import Surface
+from djpt.shapes.cubic_curve import Place, cubic_place, local_axes, unit
 from djpt.shapes.curve_segments import CUBIC, ELLIPSOID, LINE, WORDS, CurveSegments
 
 __all__ = ["CurveSegmentSet"]
 
 STEPS = 3
 """The steps from a piece to the cubic curve."""
-
-
-@dataclass
-class Place:
-    """A place along a curve: the centre, the radius, and derivatives with respect to the parameter of the segment."""
-
-    c: Point3f
-    dc: Vector3f
-    ddc: Vector3f
-    r: Float
-    dr: Float
 
 
 class CurveSegmentSet:
@@ -123,17 +112,17 @@ class CurveSegmentSet:
         axis = Vector3f(b.x - a.x, b.y - a.y, b.z - a.z)
         center = dr.fma(axis, v, Point3f(a.x, a.y, a.z))
         change = b.w - a.w
-        return v, Place(center, axis, Vector3f(0), dr.fma(change, v, a.w), change), p
+        return v, Place(center, axis, Vector3f(0), dr.fma(change, v, a.w), change, Float(0)), p
 
     def _on_cubic(self, first: UInt32, p: Point3f, d: Vector3f, v: Float, active: Bool) -> tuple[Float, Place, Point3f]:
         """The point of a cubic curve on a ray along `d`, starting near the point `p` and the parameter `v`.
 
-        In turn, the parameter moves to the circle whose plane holds the point, and the point along the ray to the
-        circle's radius. Where the ray grazes the curve the point is moved across it in the end.
+        In turn, the parameter moves to the circle whose plane holds the point, and the point along the ray to where it
+        enters the cylinder of the circle's radius, or is closest to it. What is left the point is moved across.
         """
         points = [dr.gather(Array4f, self._points, first + k, active) for k in range(4)]
         v = dr.clip(v, 0, 1)
-        least = 0.1 * dr.norm(d)
+        least, limit = 1e-4 * dr.squared_norm(d), dr.rcp(dr.norm(d))
         for _ in range(STEPS):
             place = cubic_place(points, v)
             out = p - place.c
@@ -141,54 +130,12 @@ class CurveSegmentSet:
             step = dr.dot(out, place.dc) / dr.select(slope < 0, slope, -1)
             v = dr.clip(v - dr.clip(step, -0.25, 0.25), 0, 1)
             place = cubic_place(points, v)
-            out = p - place.c
-            length = dr.norm(out)
-            towards = -dr.dot(out, d) / maximum(length, Float(1e-30))
-            forward = (length - place.r) / maximum(towards, least)
-            limit = 0.1 * place.r / least
-            p = dr.fma(d, dr.clip(forward, -limit, limit), p)
+            out, tangent = p - place.c, unit(place.dc)
+            across = dr.fma(tangent, -dr.dot(tangent, d), d)
+            a, b = maximum(dr.squared_norm(across), least), dr.dot(out, across)
+            discriminant = b * b - a * (dr.squared_norm(out) - dr.square(place.r))
+            forward = -(b + dr.sqrt(maximum(discriminant, Float(0)))) / a
+            p = dr.fma(d, dr.clip(forward, -limit * place.r, limit * place.r), p)
         place = cubic_place(points, v)
         out = p - place.c
         return v, place, dr.fma(out, place.r / maximum(dr.norm(out), Float(1e-30)), place.c)
-
-
-def cubic_place(points: Sequence[Array4f], v: Float) -> Place:
-    """A place on a segment of a uniform cubic B-spline."""
-    w = 1 - v
-    basis = w * w * w, v * v * (3 * v - 6) + 4, v * (3 + v * (3 - 3 * v)) + 1, v * v * v
-    first = -w * w, v * (3 * v - 4), 1 + v * (2 - 3 * v), v * v
-    second = w, 3 * v - 2, 1 - 3 * v, v
-    at, change, bend = (
-        sum(
-            (point * (weight * scale) for point, weight in zip(points[1:], weights[1:], strict=True)),
-            points[0] * (weights[0] * scale),
-        )
-        for weights, scale in ((basis, 1 / 6), (first, 0.5), (second, 1.0))
-    )
-    return Place(vector(at), vector(change), vector(bend), at.w, change.w)
-
-
-def unit(v: Any) -> Any:
-    """A vector of length 1; 0 if it has no length."""
-    return v * dr.rsqrt(dr.maximum(dr.squared_norm(v), 1e-30))
-
-
-def vector(a: Array4f) -> Vector3f:
-    """The first three components."""
-    return Vector3f(a.x, a.y, a.z)
-
-
-def local_axes(tangent: Vector3f, place: Place) -> tuple[Vector3f, Vector3f, Float]:
-    """Two axes across a curve that angles are counted by, and how fast they turn about the tangent along it.
-
-    The first is the z axis of the world, made perpendicular to the tangent; angles begin at the second.
-    """
-    z = tangent.z
-    upright = dr.abs(z) >= 1
-    across = Vector3f(-tangent.x * z, -tangent.y * z, 1 - z * z)
-    inv = dr.rsqrt(dr.maximum(dr.squared_norm(across), 1e-30))
-    rotation = dr.select(upright, Vector3f(0, 1, 0), across * inv)
-    origin = dr.cross(rotation, tangent)
-    speed = dr.rsqrt(dr.maximum(dr.squared_norm(place.dc), 1e-30))
-    turn = (place.ddc - tangent * dr.dot(tangent, place.ddc)) * speed
-    return rotation, origin, dr.select(upright, 0, dr.dot(turn, origin) * z * inv)

@@ -30,6 +30,7 @@ __all__ = [
     "Array3f",
     "Array3f64",
     "Array4f",
+    "Array4f64",
     "Array4i64",
     "ArrayXf",
     "ArrayXu",
@@ -77,6 +78,7 @@ Mask = backend.Bool
 Array3f = backend.Array3f
 Array3f64 = backend.Array3f64
 Array4f = backend.Array4f
+Array4f64 = backend.Array4f64
 Array4i64 = backend.Array4i64
 ArrayXf = backend.ArrayXf
 ArrayXu = backend.ArrayXu

@@ -7,10 +7,12 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import drjit as dr
+import numpy as np
 
+from djpt.core.transforms import ScalarTransform4f
 from djpt.errors import RenderError
 from djpt.jit.frozen import recording
-from djpt.jit.types import Point3f
+from djpt.jit.types import Array4f, Point3f
 from djpt.shapes.instance import Instance
 from djpt.shapes.shapegroup import ShapeGroup
 from djpt.shapes.silhouettes.moving import AttachedTransform
@@ -43,7 +45,8 @@ def parts(shape: Any) -> Iterator[Any]:
     """What stands in the place of a shape of the scene."""
     if isinstance(shape, Instance):
         for nested in shape.group.shapes:
-            yield copied_mesh(shape, nested) if nested.of_triangles else copied_solid(shape, nested)
+            copied = {"vertex_positions": copied_mesh, "control_points": copied_curves}
+            yield copied.get(nested.points_parameter, copied_solid)(shape, nested)
     elif not isinstance(shape, ShapeGroup):
         yield shape
 
@@ -62,6 +65,21 @@ def copied_mesh(instance: Instance, mesh: Any) -> Any:
         axes = [Point3f(matrix[0, k], matrix[1, k], matrix[2, k]) for k in range(4)]
         with dr.resume_grad():
             copied.vertex_positions = dr.ravel(axes[0] * own.x + axes[1] * own.y + axes[2] * own.z + axes[3])
+    return copied
+
+
+def copied_curves(instance: Instance, curves: Any) -> Any:
+    """The same of curves, whose radii grow like the root of the volume."""
+    copied = copied_solid(instance, curves)
+    copied.points, copied.to_world = copied.placed_points().astype(np.float32), ScalarTransform4f()
+    copied.tabulate()
+    matrix = instance.attached_matrix
+    if matrix is not None:
+        own = Array4f(curves.points.T)
+        with dr.resume_grad():
+            x, y, z, origin = (Point3f(matrix[0, k], matrix[1, k], matrix[2, k]) for k in range(4))
+            p, stretch = x * own.x + y * own.y + z * own.z + origin, dr.cbrt(dr.abs(dr.dot(dr.cross(x, y), z)))
+            copied.control_points = dr.ravel(Array4f(p.x, p.y, p.z, own.w * stretch))
     return copied
 
 

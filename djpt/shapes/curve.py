@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
+import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
@@ -32,9 +33,9 @@ class Curves(Shape):
     has_area = False
     in_pieces = True
     canonical = "piece"
+    points_parameter = "control_points"
     least_points: ClassVar[int]
     """The fewest control points of a curve, whose first segment they are."""
-    flags: ClassVar[ParamFlags] = ParamFlags.NonDifferentiable
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
@@ -58,13 +59,17 @@ class Curves(Shape):
         own = [np.arange(end - length, end - self.least_points + 1) for end, length in zip(ends, lengths, strict=True)]
         self.segments = np.concatenate(own).astype(np.uint32)
         """The first control point of each segment."""
+        self.begins = np.cumsum([0, *(len(segments) for segments in own)]).astype(np.uint32)
+        """The first segment of each curve, and the number of all."""
+        self.curve_count = len(own)
         self.control_point_count = len(self.points)
-        self._tabulate()
+        self.tabulate()
 
-    def _tabulate(self) -> None:
-        """Make the parameters that `traverse` reports."""
+    def tabulate(self) -> None:
+        """Make the arrays that kernels read, from the points on the host."""
         self.control_points: Any = own_floats(self.points)
         self.segment_indices: Any = own_copy(self.segments)
+        self.first_segments: Any = own_copy(self.begins)
 
     # ---- parameters ------------------------------------------------------------------
 
@@ -79,7 +84,7 @@ class Curves(Shape):
         if "control_points" not in keys:
             return
         try:
-            found = as_array(np.array(self.control_points)).reshape(-1, 4)
+            found = as_array(np.array(dr.detach(self.control_points))).reshape(-1, 4)
         except (SceneError, ValueError):
             raise ParameterError(f"{self.id()}.control_points: must be numbers, four for each point") from None
         if len(found) != self.control_point_count:
@@ -89,6 +94,11 @@ class Curves(Shape):
         if (found[:, 3] < 0).any():
             raise ParameterError(f"{self.id()}.control_points: radii must be at least 0, found {found[:, 3].min():g}")
         self.points = found.astype(np.float32)
+
+    def attached_parameter(self, name: str, value: Any) -> Any:
+        if name != "control_points" or not self.can_be_followed():
+            raise ParameterError(f"{self.id()}.{name}: gradients with respect to this parameter aren't available")
+        return value
 
     # ---- on the host -----------------------------------------------------------------
 

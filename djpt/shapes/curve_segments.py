@@ -15,6 +15,7 @@ __all__ = [
     "WORDS",
     "CurveSegments",
     "cubic_at",
+    "cubic_piece_counts",
     "cubic_pieces",
     "ellipsoid_pieces",
     "linear_pieces",
@@ -127,14 +128,7 @@ def cubic_pieces(points: Array, segments: NDArray[np.uint32]) -> CurveSegments:
     angle, they reach beyond the joint, so that no ray passes between them.
     """
     controls = points[segments[:, None] + np.arange(4)]
-    bend = np.maximum(
-        *(
-            np.linalg.norm(controls[:, k, :3] - 2 * controls[:, k + 1, :3] + controls[:, k + 2, :3], axis=1)
-            for k in (0, 1)
-        )
-    )
-    thin = np.maximum(controls[:, :, 3].mean(axis=1), 1e-9)
-    counts = np.clip(np.ceil(np.sqrt(bend / (8 * TOLERANCE * thin))), 1, MOST).astype(np.int64)
+    counts = cubic_piece_counts(points, segments)
     of = np.repeat(np.arange(len(segments)), counts)
     step = np.arange(len(of)) - np.repeat(np.cumsum(counts) - counts, counts)
     low, high = step / counts[of], (step + 1) / counts[of]
@@ -154,6 +148,20 @@ def cubic_pieces(points: Array, segments: NDArray[np.uint32]) -> CurveSegments:
     rows = rows_of(segments[of], of, len(segments), CUBIC, low - span * before, high + span * after)
     radii = np.maximum(np.stack([start[:, 3], end[:, 3]], axis=1), 0)
     return straight(start[:, :3], end[:, :3], radii, False, rows, points)
+
+
+def cubic_piece_counts(points: Array, segments: NDArray[np.uint32]) -> NDArray[np.int64]:
+    """The numbers of pieces of the segments of cubic B-splines."""
+    controls = points[segments[:, None] + np.arange(4)]
+    bend = np.maximum(
+        *(
+            np.linalg.norm(controls[:, k, :3] - 2 * controls[:, k + 1, :3] + controls[:, k + 2, :3], axis=1)
+            for k in (0, 1)
+        )
+    )
+    thin = np.maximum(controls[:, :, 3].mean(axis=1), 1e-9)
+    counts: NDArray[np.int64] = np.clip(np.ceil(np.sqrt(bend / (8 * TOLERANCE * thin))), 1, MOST).astype(np.int64)
+    return counts
 
 
 def cubic_at(controls: Array, v: Array) -> Array:

@@ -67,6 +67,7 @@ class Mesh(MeshQueries, Shape):
 
     shape_kind = ShapeType.Mesh
     of_triangles = True
+    points_parameter = "vertex_positions"
     values = dict.fromkeys(("first_face", "own_faces", "area"), HIDDEN)
     statics = ("flip_normals", "set")
 

@@ -117,6 +117,14 @@ class Outlines:
         edge.unbent = Bool(True)
         return dr.select(on_seam, seams.sample(self._viewpoint, part - first, along, active & on_seam), edge)
 
+    def stops(self, ss: SilhouetteSample3f, active: Bool | bool) -> Bool:
+        """Whether rays along `ss.d` meet the surfaces at samples: see `Silhouette.stops`."""
+        result = Bool(active)
+        for k, shape in enumerate(self._shapes):
+            mine = result & (ss.scene_index == k)
+            result &= ~mine | shape.silhouette().stops(ss, mine)
+        return result
+
     def follow(self, ss: SilhouetteSample3f, active: Bool | bool = True, viewpoint: Point3f | None = None) -> Point3f:
         """The points of samples, attached to the parameters of the shapes, which they stick to.
 

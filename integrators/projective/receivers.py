@@ -145,7 +145,8 @@ def lit_receivers(
     """
     with dr.suspend_grad():
         ray = ss.spawn_ray()
-        # It starts ahead of a point that isn't exact.
+        # It starts ahead of a point that isn't exact, or beside it, and ends at the same place.
+        ray.d = dr.fma(ss.n, -ss.gap * dr.rcp(ds.dist), ray.d)
         ray.maxt = (ds.dist - dr.dot(ray.o - ss.p, ss.d)) * (1 - SHADOW_EPSILON)
         lit = Bool(active) & dr.any(arriving != 0) & ~scene.ray_test(ray, active)
         importance, place, edges, reached, approach = integrator.sample_viewer(

@@ -48,6 +48,7 @@ class ShadowEdges:
         with dr.suspend_grad():
             ss, ds, arriving, active = self._lit_outlines(sampler)
             ss.d = ds.d
+            active = self._outlines.stops(ss, active)
         receiver, weight, place, active = lit_receivers(integrator, scene, sensor, sampler, ss, ds, arriving, active)
         speed = receiver.speed_at_edge(ds.dist) - dr.dot(self._outlines.follow(ss, active) - ss.p, ss.n)
         if self._moves:

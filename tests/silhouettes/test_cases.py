@@ -7,12 +7,21 @@ from dataclasses import replace
 import pytest
 
 from djpt.core.transforms import ScalarTransform4f as T
-from tests.silhouettes import camera_cases, cases, fog_cases, hollow_cases, light_cases, mirror_cases, wedge_cases
+from tests.silhouettes import (
+    camera_cases,
+    cases,
+    curve_cases,
+    fog_cases,
+    hollow_cases,
+    light_cases,
+    mirror_cases,
+    wedge_cases,
+)
 from tests.silhouettes.cases import INTERIOR, PRB, Case, plate, sensor, sky, turn
 
 CASES = {
     name: case
-    for module in (cases, camera_cases, fog_cases, light_cases, mirror_cases, hollow_cases, wedge_cases)
+    for module in (cases, camera_cases, curve_cases, fog_cases, light_cases, mirror_cases, hollow_cases, wedge_cases)
     for name, case in module.CASES.items()
 }
 
@@ -28,6 +37,7 @@ QUICK = {
     "a smooth octahedron turns before a low lamp": "prb_projective",
     "the shadow of a ball in the light of a point": "direct_projective",
     "a cup that a floor cuts": "direct_projective",
+    "the shadow of strands in the light of a point": "direct_projective",
 }
 """What runs before a commit; all else is slow."""
 

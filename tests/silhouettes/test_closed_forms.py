@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import drjit as dr
@@ -50,6 +51,7 @@ SHAPES: dict[str, Any] = {
     "cylinder": {"type": "cylinder", "to_world": TURNED, "flip_normals": True},
     "sphere": {"type": "sphere", "flip_normals": True},
     "torus": {"type": "torus", "to_world": TURNED.scale([1, 0.7, 1.2])},
+    "strand": {"type": "bsplinecurve", "filename": str(Path(__file__).parent / "strand.txt")},
     "a thick torus": {"type": "torus", "to_world": TURNED, "major": 0.6, "minor": 0.4, "flip_normals": True},
 }
 NAMES = [*SHAPES, "mesh", "mesh with seams"]
@@ -62,8 +64,8 @@ def lanes(value: Any, count: int) -> Any:
 
 
 def meets(one: Any, name: str, ray: Any, count: int) -> Any:
-    """Whether rays meet the shape; of a torus, which hides parts of its outlines, only close to where they begin."""
-    if "torus" in name:
+    """Whether rays meet the shape; of those that hide parts of their outlines, only close to where they begin."""
+    if "torus" in name or name == "strand":
         ray.maxt = Float(0.01)
     return lanes(one.ray_test(ray), count)
 
@@ -214,3 +216,29 @@ def test_points_at_another_cosine_mirror_light_from_where_they_did(origin: tuple
     if cosine is None:
         for a, b in ((onward, d), (turned.n, si.n), (turned.sh_frame.n, si.sh_frame.n), (turned.wi, si.wi)):
             np.testing.assert_allclose(np.array(a), np.array(b), atol=1e-5)
+
+
+def test_silhouettes_of_bent_tubes_run_across_the_line_of_sight() -> None:
+    """`foreshortening` is how fast the normal turns along `d`, and it doesn't turn towards `d` along the silhouette."""
+    one, count, step = shape("strand"), 500, 1e-2
+    silhouette: Any = one.silhouette()
+    points = np.random.default_rng(1).random((3, count)).astype(np.float32) * 0.9 + 0.05
+    ss = one.sample_silhouette(Point3f(points), INTERIOR)
+    v, phi = silhouette.v(ss.prim_index, ss.uv), ss.uv.x * (2 * np.pi)
+
+    def change(by_phi: float, by_v: float) -> tuple[Any, Any]:
+        """The differences of the point and of the normal."""
+        places = []
+        for sign in (1, -1):
+            ring, _ = silhouette.ring(ss.prim_index, v + sign * by_v, True)
+            out = ring.out(phi + sign * by_phi)
+            places.append((np.array(ring.point(out)), np.array(ring.normal(out))))
+        return tuple((a - b) / (2 * step) for a, b in zip(*places, strict=True))
+
+    (p_u, n_u), (p_v, n_v) = change(step, 0), change(0, step)
+    d, along = np.array(ss.d), np.array(ss.silhouette_d)
+    tangents = np.stack([p_u, p_v], axis=-1).transpose(1, 0, 2)
+    shares = np.stack([np.linalg.lstsq(t, x, rcond=None)[0] for t, x in zip(tangents, d.T, strict=True)], axis=1)
+    turning = shares[0] * n_u + shares[1] * n_v
+    np.testing.assert_allclose(np.array(ss.foreshortening), np.abs((turning * d).sum(0)), rtol=1e-3, atol=1e-3)
+    np.testing.assert_allclose((turning * along).sum(0), 0, atol=1e-3 * np.linalg.norm(turning, axis=0).max())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import drjit as dr
@@ -30,6 +31,11 @@ def painted_pyramid() -> Any:
     return pyramid(np.array([[0.1, 0.2], [0.9, 0.1], [0.4, 0.8], [0.5, 0.3]], np.float32))
 
 
+def strand() -> dict[str, Any]:
+    """Two tubes."""
+    return {"type": "bsplinecurve", "filename": str(Path(__file__).parent / "strand.txt")}
+
+
 SHAPES: dict[str, tuple[Any, str, list[float]]] = {
     "sphere": (lambda: {"type": "sphere"}, "x.to_world", [0.2, 0.3, 3]),
     "rectangle": (lambda: {"type": "rectangle"}, "x.to_world", [0.2, 0.3, 3]),
@@ -39,6 +45,7 @@ SHAPES: dict[str, tuple[Any, str, list[float]]] = {
     "cube": (lambda: {"type": "cube"}, "x.vertex_positions", [0.2, 0.3, 3]),
     "cone": (lambda: {"type": "cone"}, "x.to_world", [0.2, 0.3, 3]),
     "paraboloid": (lambda: {"type": "paraboloid", "flip_normals": True}, "x.to_world", [0.2, 0.3, 3]),
+    "strand": (strand, "x.control_points", [-0.9, 0.25, 3]),
     "mesh": (pyramid, "x.vertex_positions", [-0.1, -0.4, 3]),
     "painted mesh": (painted_pyramid, "x.vertex_positions", [-0.1, -0.4, 3]),
 }
@@ -53,6 +60,8 @@ def scene(name: str, theta: Float) -> Any:
     if name == "cube":
         corners = dr.unravel(djpt.Point3f, Float(params[key]))
         params[key] = dr.ravel(turn.transform_point(corners))
+    elif key == "x.control_points":
+        params[key] = Float(params[key]) + Float(np.resize(FLOATS, 40) * np.float32([1, 1, 1, 0.2] * 10)) * theta
     elif key == "x.vertex_positions":
         params[key] = Float(params[key]) + Float(FLOATS) * theta
     else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import drjit as dr
@@ -284,3 +285,25 @@ def test_a_record_prints_its_shape() -> None:
     one = djpt.load_dict({"type": "sphere"})
     ss.assign(one.sample_silhouette([0.1, 0.2, 0.3], INTERIOR))
     assert numbers(ss.shape == djpt.ShapePtr(one)).all() and "shape=[Sphere" in repr(djpt.SilhouetteSample3f(ss))
+
+
+@pytest.mark.sparse(2)
+@pytest.mark.parametrize(
+    ("file", "flags"), [("strand.txt", INTERIOR), ("straight.txt", INTERIOR), ("straight.txt", PERIMETER)]
+)
+def test_samples_of_curves_are_mitsubas(file: str, flags: int) -> None:
+    """Of bent curves the ends aren't: they lie across the straight pieces that rays meet."""
+    described = {"type": "bsplinecurve", "filename": str(Path(__file__).parent / file)}
+    ours, theirs = djpt.load_dict(described), mi.load_dict(described)
+    assert ours.silhouette_discontinuity_types() == theirs.silhouette_discontinuity_types()
+    a, b = ours.sample_silhouette(cube(djpt), flags), theirs.sample_silhouette(cube(mi), flags)
+    # Within, Mitsuba doesn't set the segment, and takes dp/du and dp/dv for perpendicular, as on straight tubes.
+    more = ("prim_index", "n", "silhouette_d") if flags == PERIMETER else ()
+    more = (*more, "foreshortening") if file == "straight.txt" else more
+    for field in ("p", "d", "uv", "pdf", *more):
+        found, expected = np.broadcast_arrays(numbers(getattr(a, field)), numbers(getattr(b, field)))
+        np.testing.assert_allclose(found, expected, rtol=2e-3, atol=2e-4, err_msg=field)
+    np.testing.assert_allclose(numbers(ours.invert_silhouette_sample(a)), numbers(cube(djpt)), atol=5e-4)
+    parts, weights = ours.precompute_silhouette(djpt.ScalarPoint3f(VIEWPOINT))
+    expected = theirs.precompute_silhouette(mi.ScalarPoint3f(VIEWPOINT))
+    assert [numbers(parts).tolist(), numbers(weights).tolist()] == [numbers(x).tolist() for x in expected]

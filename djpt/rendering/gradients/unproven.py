@@ -394,9 +394,9 @@ CASES: tuple[Case, ...] = (
         needs_numbers=True,
     ),
     Case(
-        "a curve or an implicit surface, if it may hide light from a moving shape, or that of a light that moves",
+        "a `linearcurve` or implicit surface, if it may hide light from a moving shape, or that of a light that moves",
         "its outlines and the edges of its shadows aren't followed",
-        "use a mesh",
+        "use a mesh, or of curves a 'bsplinecurve'",
         unknown_outlines,
         needs_numbers=True,
     ),

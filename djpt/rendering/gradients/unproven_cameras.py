@@ -122,9 +122,9 @@ CAMERA_CASES: tuple[Case, ...] = (
         needs_numbers=True,
     ),
     Case(
-        "a curve or an implicit surface",
+        "a `linearcurve` or an implicit surface",
         "its outlines aren't followed",
-        "use a mesh",
+        "use a mesh, or of curves a 'bsplinecurve'",
         unknown_outlines,
         needs_numbers=True,
     ),

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 import drjit as dr
 
-from djpt.core.records import BSDFFlags, DiscontinuityFlags, SurfaceInteraction3f, has_flag
+from djpt.core.records import GRAZING, BSDFFlags, DiscontinuityFlags, SurfaceInteraction3f, has_flag
 from djpt.jit.types import Bool, Float, Float64, Matrix4f, Normal3f, Point2f, Point3f, UInt32, Vector3f
 from djpt.shapes.silhouettes.moving import attached_place
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
@@ -121,6 +121,9 @@ class Silhouette:
     offset: ClassVar[float] = 0.0
     """`SilhouetteSample3f.offset`."""
 
+    grazing: ClassVar[float] = GRAZING
+    """The least cosine between a ray and the normal at which hits slide as the shape moves."""
+
     def __init__(self, shape: Any) -> None:
         """`shape` holds the values: numbers, or one per lane."""
         self.shape = shape
@@ -186,6 +189,10 @@ class Silhouette:
         place = self.place()
         middle = dr.fma(INSET, place.origin - ss.p, ss.p)
         return middle, self.surface(place, middle, ss.prim_index, active).n
+
+    def stops(self, ss: SilhouetteSample3f, active: Bool | bool) -> Bool:
+        """Whether rays along `ss.d` meet the surface at the silhouette: those of one-sided surfaces may pass."""
+        return Bool(True)
 
     def texture_place(self, uv: Point2f, prim_uv: Point2f) -> Point2f:
         """Of the texture coordinates and barycentric weights of a hit those that `follow` understands."""

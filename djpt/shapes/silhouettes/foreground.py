@@ -43,7 +43,7 @@ def foreground(
         p, n = dr.select(mine, near, p), dr.select(mine, outer, n)
     front = dr.dot(n, ss.d) <= 1e-3
     toward = dr.select(front, n, -n)
-    height = RAY_EPSILON * (1 + dr.max(dr.abs(p)))
+    height = dr.fma(RAY_EPSILON, 1 + dr.max(dr.abs(p)), ss.gap)
     si = scene.ray_intersect(Ray3f(dr.fma(toward, height, p), -toward), RayFlags.AllNonDifferentiable, active=active)
     found = si.is_valid() & (si.t < 4 * height) & active
     on_shape = Bool(False)

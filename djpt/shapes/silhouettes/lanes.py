@@ -30,14 +30,14 @@ def ask(
 ) -> Any:
     """``question(silhouette, mine)`` per lane; `otherwise` where there is no shape, or its silhouettes aren't known.
 
-    Analytic shapes of a class are asked together. Meshes have arrays of their own, and so are asked one by one: `mine`
-    are the lanes of the one that is asked, of which alone the numbers of triangles are its own.
+    Analytic shapes of a class are asked together. Meshes and curves have arrays of their own, and so are asked one by
+    one: `mine` are the lanes of the one that is asked, of which alone the numbers of primitives are its own.
     """
     result = otherwise
     for group in ensemble.groups:
         if group.plugins[0].silhouette_class() is None:
             continue
-        if group.plugins[0].of_triangles:
+        if group.plugins[0].points_parameter:
             for number, mesh in zip(group.indices, group.plugins, strict=True):
                 mine = index == number
                 result = dr.select(mine, question(mesh.silhouette(), mine), result)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
 
@@ -10,7 +10,7 @@ from djpt.core.records import SurfaceInteraction3f
 from djpt.description.plugin import Plugin
 from djpt.errors import SceneError
 from djpt.jit.types import Bool, Float, Matrix4f, Point3f, UInt32, converting
-from djpt.shapes.silhouettes.moving import attached_place, motion_name
+from djpt.shapes.silhouettes.moving import attached_place, motion_name, own_place
 
 if TYPE_CHECKING:
     from djpt.shapes.silhouettes.base import Silhouette
@@ -22,10 +22,12 @@ __all__ = ["SilhouetteQuestions"]
 class SilhouetteQuestions(Plugin):
     """The part of a shape that projective sampling asks: see `djpt.shapes.silhouettes`.
 
-    Spheres, disks, rectangles, cylinders, cones, paraboloids, cubes and meshes have answers; others raise `SceneError`.
+    All shapes have answers but for linear curves and implicit surfaces, which raise `SceneError`.
     Samples lie in the unit cube. A mesh has silhouettes while its `vertex_positions` have gradients.
     """
 
+    points_parameter: ClassVar[str] = ""
+    """The attribute that holds the points in memory that place it: of meshes and curves; else it has a `to_world`."""
     silhouette_weight: float = 1.0
 
     def silhouette_class(self) -> type[Silhouette] | None:
@@ -42,8 +44,7 @@ class SilhouetteQuestions(Plugin):
         if kind is None:
             found = type(self).__name__.lower()
             raise SceneError(
-                f"{self.id()}: the silhouettes of a '{found}' aren't known; "
-                "those of meshes, cubes, rectangles, disks, cylinders, cones, paraboloids and spheres are"
+                f"{self.id()}: the silhouettes of a '{found}' aren't known; use a mesh, or of curves a 'bsplinecurve'"
             )
         return kind(self)
 
@@ -133,7 +134,7 @@ class SilhouetteQuestions(Plugin):
 
     def parameters_grad_enabled(self) -> bool:
         """Whether the parameters that place the shape have gradients, also where these are suspended."""
-        value = self.__dict__.get("vertex_positions") if self.of_triangles else self.attached_matrix  # type: ignore[attr-defined]
+        value = own_place(self)
         if value is None:
             return False
         with dr.resume_grad():

@@ -8,7 +8,7 @@ from typing import Any
 import drjit as dr
 
 from djpt.core.frame import Frame3f
-from djpt.core.records import GRAZING, Ray3f, RayFlags, SurfaceInteraction3f
+from djpt.core.records import Ray3f, RayFlags, SurfaceInteraction3f
 from djpt.jit.types import Float, Normal3f, Vector3f
 from djpt.shapes.silhouettes.base import aligned, with_gradient
 
@@ -22,7 +22,7 @@ def attach(si: SurfaceInteraction3f, ray: Ray3f, flags: int, moving: Sequence[tu
 
         t = <n, q - o> / <n, d>,    q: the point that sticks to the surface.
 
-    Where d grazes the surface, hits slide without bound; with a cosine below `GRAZING` they stay.
+    Where d grazes the surface, hits slide without bound; with a cosine below `Silhouette.grazing` they stay.
     With `RayFlags.FollowShape` the hit is q itself. Values stay as they are. Derivatives of dp/dv are left out.
 
     Args:
@@ -49,7 +49,7 @@ def attach(si: SurfaceInteraction3f, ray: Ray3f, flags: int, moving: Sequence[tu
             distance, moved = dr.norm(followed - ray.o) * dr.rcp(dr.norm(ray.d)), followed
         else:
             cosine = dr.dot(still.n, ray.d)
-            slides = dr.abs(dr.detach(cosine)) > GRAZING * dr.norm(dr.detach(ray.d))
+            slides = dr.abs(dr.detach(cosine)) > silhouette.grazing * dr.norm(dr.detach(ray.d))
             mine &= slides
             distance = dr.dot(still.n, followed - ray.o) * dr.rcp(dr.select(slides, cosine, 1))
             moved = dr.fma(ray.d, distance, ray.o)

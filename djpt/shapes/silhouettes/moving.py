@@ -12,7 +12,7 @@ import drjit as dr
 from djpt.core.transforms.host import ScalarTransform4f
 from djpt.jit.types import Float
 
-__all__ = ["AttachedTransform", "attached_place", "exchanged", "exchanged_value", "motion_name"]
+__all__ = ["AttachedTransform", "attached_place", "exchanged", "exchanged_value", "motion_name", "own_place"]
 
 
 class AttachedTransform(ScalarTransform4f):
@@ -58,19 +58,24 @@ def exchanged_value(shape: Any, name: str) -> Any:
 
 
 def motion_name(shape: Any) -> str:
-    """The attribute that holds the variable by which a shape moves: a matrix, or the positions of vertices."""
-    return "vertex_positions" if shape.of_triangles else "attached_matrix"
+    """The attribute that holds the variable by which a shape moves: a matrix, or points in memory."""
+    return shape.points_parameter or "attached_matrix"
+
+
+def own_place(shape: Any) -> Any:
+    """The variable by which a shape moves, whether it has gradients or not; None if there is none, or not yet."""
+    return shape.__dict__.get(shape.points_parameter) if shape.points_parameter else shape.attached_matrix
 
 
 def attached_place(shape: Any) -> Any:
-    """The variable by which a shape moves: a `Matrix4f`, or the `Float` of a mesh's positions; None if it stays.
+    """The variable by which a shape moves: a `Matrix4f`, or the `Float` of its points; None if it stays.
 
     While images are differentiated, both are in memory: a `Float64` (`djpt.shapes.silhouettes.normals`).
     """
     name = motion_name(shape)
     value = exchanged_value(shape, name)
     if value is None:
-        value = shape.__dict__.get(name) if shape.of_triangles else shape.attached_matrix
+        value = own_place(shape)
     if value is None or not dr.grad_enabled(value):
         return None
     moved: Float = value

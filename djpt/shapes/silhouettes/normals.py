@@ -52,7 +52,7 @@ def with_normals(values: Mapping[tuple[int, str], Any], shapes: Sequence[Any]) -
 
 
 def in_memory(place: Any) -> Float64:
-    """The entries of a matrix, row by row, or the positions of vertices."""
+    """The entries of a matrix, row by row, or points."""
     if not isinstance(place, Matrix4f):
         return Float64(place)
     entries: Float64 = dr.concat([Float64(place[row, column]) for row in range(4) for column in range(4)])

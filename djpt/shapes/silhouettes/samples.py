@@ -48,6 +48,8 @@ class SilhouetteSample3f(PositionSample3f):
     """The sine between `d` and an edge; the normal curvature along `d` of a smooth surface."""
     offset: Float
     """The offset of rays along `d`, relative to 1 + the largest coordinate, where points aren't exact."""
+    gap: Float
+    """How far rays keep clear of the silhouette where they meet another surface than it belongs to, which is close."""
     sight: Float
     """The distance of the viewer; 0 if it isn't asked for."""
     strip: Float
@@ -106,8 +108,9 @@ class SilhouetteSample3f(PositionSample3f):
     def spawn_ray(self, wavelengths: Any = None) -> Ray3f:
         """The ray along `d` that just misses the shape.
 
-        It starts off the surface, by `offset` along `d` and a little along `n`.
+        It starts off the surface, by `offset` along `d`, and by `gap` and a little more along `n`.
         """
         no_wavelengths(wavelengths)
         size = 1 + dr.max(dr.abs(self.p))
-        return Ray3f(self.p + size * (self.d * self.offset + self.n * NORMAL_OFFSET), self.d)
+        aside = dr.fma(size, NORMAL_OFFSET, self.gap)
+        return Ray3f(self.p + (self.d * (size * self.offset) + self.n * aside), self.d)
