@@ -269,7 +269,7 @@ def test_flags_have_mitsubas_values() -> None:
 def test_shapes_whose_silhouettes_are_not_known() -> None:
     box = djpt.load_dict({"type": "sdfgrid", "grid": djpt.TensorXf([1, 1, 1, 1, -1, 1, 1, 1], (2, 2, 2, 1))})
     assert box.silhouette_discontinuity_types() == 0
-    with pytest.raises(SceneError, match="the silhouettes of a 'sdfgrid' aren't known; those of meshes, cubes, rect"):
+    with pytest.raises(SceneError, match="the silhouettes of a 'sdfgrid' aren't known; use a mesh"):
         box.sample_silhouette([0.1, 0.2, 0.3], 1)
     params = djpt.traverse(box)
     assert "to_world" in params
