@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+import drjit as dr
 import numpy as np
 
+from djpt.core.records import Ray3f, RayFlags, SurfaceInteraction3f
 from djpt.description.registry import register_shape
 from djpt.jit.kernels import own_copy
+from djpt.jit.types import Bool, Float, Point2f
 from djpt.shapes.curve import Curves
 from djpt.shapes.curve_segments import CurveSegments, cubic_piece_counts, cubic_pieces
 from djpt.shapes.mitsuba_api import ShapeType
@@ -49,6 +53,23 @@ class BSplineCurve(Curves):
         counts = cubic_piece_counts(self.placed_points(), self.segments)
         self.piece_counts: Any = own_copy(counts.astype(np.uint32))
         """The number of pieces of each segment."""
+
+    def eval_parameterization(
+        self, uv: Any, ray_flags: int = RayFlags.All, active: Bool | bool = True
+    ) -> SurfaceInteraction3f:
+        """The surface point with the texture coordinates (u, v) in the unit square; `t` is 0."""
+        silhouette: Any = self.silhouette()
+        uv = Point2f(uv)
+        prim, v = silhouette.segment_at(uv.y)
+        ring, _ = silhouette.ring(prim, v, active)
+        out = ring.out(2 * math.pi * uv.x)
+        n = ring.normal(out)
+        # From where the straight pieces aren't in the way.
+        si: SurfaceInteraction3f = self.alone().ray_intersect(
+            Ray3f(dr.fma(n, 0.1 * ring.place.r, ring.point(out)), -n), ray_flags, active=active
+        )
+        si.t = dr.select(active, Float(0), dr.inf)
+        return si
 
     def silhouette_class(self) -> type[Silhouette] | None:
         from djpt.shapes.silhouettes.bsplinecurve import BSplineCurveSilhouette

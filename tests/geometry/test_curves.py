@@ -315,6 +315,17 @@ def test_an_edit_that_bends_curves_changes_their_pieces(tmp_path: Path) -> None:
         np.testing.assert_array_equal(np.array(hits(scene, o, d).t), expected)
 
 
+def test_texture_coordinates_determine_points_of_splines(tmp_path: Path) -> None:
+    """They are those of the point, which lies on the curve."""
+    hair = djpt.load_dict(scene_of("bsplinecurve", file_of(strands(), tmp_path))["hair"])
+    uv = np.random.default_rng(2).random((2, 500)).astype(np.float32) * 0.98 + 0.01
+    si = hair.eval_parameterization(djpt.Point2f(uv))
+    np.testing.assert_allclose(np.array(si.uv), uv, atol=2e-3)
+    back = hair.ray_intersect(djpt.Ray3f(si.p + si.n, -si.n))
+    same = np.abs(np.array(back.t) - 1) < 1e-3  # the others are hidden by another strand
+    assert same.mean() > 0.8 and (np.array(si.t) == 0).all()
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_curves_beside_a_smooth_mesh(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The word that is a face in the record of a triangle numbers pieces in those of curves, beyond the last face."""
