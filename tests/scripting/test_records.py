@@ -132,6 +132,9 @@ def test_records_are_shown_like_mitsubas(name: str, mi: Any) -> None:
 def test_flags_have_mitsubas_values(mi: Any) -> None:
     for flag in mi.RayFlags:
         assert int(getattr(djpt.RayFlags, flag.name)) == int(flag)
+    # As newer versions name them.
+    assert djpt.RayFlags.Default == djpt.RayFlags.Shading == djpt.RayFlags.All
+    assert djpt.RayFlags.NormalPartials == djpt.RayFlags.dNSdUV
     for mode in ("Radiance", "Importance"):
         assert int(getattr(djpt.TransportMode, mode)) == getattr(mi.TransportMode, mode).value
     for kind in mi.ShapeType:

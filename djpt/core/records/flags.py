@@ -90,6 +90,12 @@ class RayFlags(enum.IntFlag):
     """Derivatives with respect to the shape are left out; those with respect to the ray stay."""
     All = 0xE
     AllNonDifferentiable = 0x10E
+    Shading = 0xE
+    """The name of `All` in Mitsuba after 3.9."""
+    Default = 0xE
+    """Another one."""
+    NormalPartials = 0x20
+    """The name of `dNSdUV` there."""
 
 
 class SurfaceDetail(enum.IntEnum):
