@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 import djpt
 from djpt.core.transforms import ScalarTransform4f as T
 from djpt.errors import ParameterError, RenderError
-from djpt.jit.types import Float, TensorXf
+from djpt.jit.types import Array4f, Float, TensorXf
 from djpt.validation.gradcheck.check import judged, standard_error
 
 __all__ = ["MOST_SEEDS", "Accuracy", "Cell", "Edit", "Node", "Outcome", "Scene", "camera_above", "moved"]
@@ -145,7 +145,7 @@ class Cell:
 
 
 def moved(key: str, motion: Callable[[Float], Any]) -> Edit:
-    """A transform, or the vertices of a mesh, after a motion."""
+    """A transform, the vertices of a mesh, or the control points of curves, whose radii stay, after a motion."""
 
     def edit(params: Any, theta: Float) -> None:
         node = key.rpartition(".")[0]
@@ -154,6 +154,10 @@ def moved(key: str, motion: Callable[[Float], Any]) -> Edit:
         elif f"{node}.vertex_positions" in params:
             points = dr.unravel(djpt.Point3f, Float(params[f"{node}.vertex_positions"]))
             params[f"{node}.vertex_positions"] = dr.ravel(motion(theta).transform_point(points))
+        elif f"{node}.control_points" in params:
+            points = dr.unravel(Array4f, Float(params[f"{node}.control_points"]))
+            p = motion(theta).transform_point(djpt.Point3f(points.x, points.y, points.z))
+            params[f"{node}.control_points"] = dr.ravel(Array4f(p.x, p.y, p.z, points.w))
         else:
             raise RenderError(f"'{node}' has no place that can be differentiated")
 

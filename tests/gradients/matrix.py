@@ -82,6 +82,8 @@ def globe_file() -> str:
     return str(path)
 
 
+TUBE = Path(__file__).parent / "tube.txt"
+"""A bent curve of four segments, with open ends."""
 FLOOR = {
     "type": "rectangle",
     "to_world": T().translate([0, 0, -1]).scale(5),
@@ -114,6 +116,7 @@ SHAPES: dict[str, Callable[[], Node]] = {
     "mesh": lambda: {"type": "ply", "filename": globe_file(), "to_world": T().translate([0.2, 0.1, 0.4]).scale(0.8)},
     "cone": lambda: {"type": "cone", "to_world": T().translate([0.2, 0.1, 0]).scale(0.8)},
     "torus": lambda: {"type": "torus", "to_world": T().translate([0.2, 0.1, 0.4]).scale(0.8)},
+    "tube": lambda: {"type": "bsplinecurve", "filename": str(TUBE), "to_world": T().translate([0.2, 0.1, 0.4])},
     "paraboloid": lambda: {"type": "paraboloid", "to_world": T().translate([0.2, 0.1, 0]).scale(0.7)},
     "cuboid": lambda: {
         "type": "cuboid",
