@@ -125,7 +125,9 @@ def edges_on_lines(
     across_line = dr.select(moves, -dr.sign(slope.x) / length, 0)
     change_here, change_there = edge.changes()
     value = Color3f(here) * change_here - Color3f(there) * change_there
-    mass = dr.select(moves, dr.max(dr.abs(here - there)) / length, 0)
+    # Before rough surfaces that move the sides count with speeds of their own, and matter even if they look alike.
+    largest = dr.abs(here - there) if lines.start is None else dr.maximum(dr.abs(here), dr.abs(there))
+    mass = dr.select(moves, dr.max(largest) / length, 0)
     return value * across_line, mass, place
 
 

@@ -164,3 +164,16 @@ CASES["a camera, step aside: the rim of a round mirror before fields"] = Case(
     spp=2048,
     step=0.004,
 )
+
+
+def before_fields(bsdf: Any) -> dict[str, Any]:
+    """That scene with a ball of another material."""
+    nodes = CASES["a camera, step aside: the rim of a round mirror before fields"].nodes()
+    return {**nodes, "mirror": ball(bsdf, radius=1.3)}
+
+
+# The wall in the mirror sees the outline of the ball, beyond which the sky is as bright as what the ball shows of it.
+for name, bsdf in (("round mirror", MIRROR), ("ball of glass", GLASS)):
+    CASES[f"a camera, step aside: the rim of a {name} before fields, that see it"] = Case(
+        lambda bsdf=bsdf: before_fields(bsdf), shift("sensor.to_world"), PRB, depth=4, spp=2048, step=0.004
+    )
