@@ -12,7 +12,7 @@ import numpy as np
 from djpt.core.transforms import ScalarTransform4f
 from djpt.errors import RenderError
 from djpt.jit.frozen import recording
-from djpt.jit.types import Array4f, Point3f
+from djpt.jit.types import Array4f, Matrix4f, Point3f
 from djpt.shapes.instance import Instance
 from djpt.shapes.shapegroup import ShapeGroup
 from djpt.shapes.silhouettes.moving import AttachedTransform
@@ -62,9 +62,8 @@ def copied_mesh(instance: Instance, mesh: Any) -> Any:
     copied._forget()
     matrix = instance.attached_matrix
     if matrix is not None:
-        axes = [Point3f(matrix[0, k], matrix[1, k], matrix[2, k]) for k in range(4)]
         with dr.resume_grad():
-            copied.vertex_positions = dr.ravel(axes[0] * own.x + axes[1] * own.y + axes[2] * own.z + axes[3])
+            copied.vertex_positions = dr.ravel(mapped(matrix, own))
     return copied
 
 
@@ -77,10 +76,15 @@ def copied_curves(instance: Instance, curves: Any) -> Any:
     if matrix is not None:
         own = Array4f(curves.points.T)
         with dr.resume_grad():
-            x, y, z, origin = (Point3f(matrix[0, k], matrix[1, k], matrix[2, k]) for k in range(4))
-            p, stretch = x * own.x + y * own.y + z * own.z + origin, dr.cbrt(dr.abs(dr.dot(dr.cross(x, y), z)))
+            p, stretch = mapped(matrix, Point3f(own.x, own.y, own.z)), dr.cbrt(dr.abs(dr.det(matrix)))
             copied.control_points = dr.ravel(Array4f(p.x, p.y, p.z, own.w * stretch))
     return copied
+
+
+def mapped(matrix: Matrix4f, p: Point3f) -> Point3f:
+    """Points under an affine map."""
+    x, y, z, origin = (Point3f(matrix[0, k], matrix[1, k], matrix[2, k]) for k in range(4))
+    return x * p.x + y * p.y + z * p.z + origin
 
 
 def copied_solid(instance: Instance, solid: Any) -> Any:

@@ -47,7 +47,8 @@ class BSplineCurve(Curves):
 
     def parameters_changed(self, keys: Sequence[str]) -> None:
         super().parameters_changed(keys)
-        self._count()
+        if "control_points" in keys:
+            self._count()
 
     def _count(self) -> None:
         counts = cubic_piece_counts(self.placed_points(), self.segments)

@@ -10,7 +10,7 @@ import drjit as dr
 
 from djpt.jit.types import Array4f, Float, Point3f, Vector3f
 
-__all__ = ["Place", "cubic_place", "local_axes", "unit"]
+__all__ = ["Place", "cubic_place", "local_axes", "unit", "vector"]
 
 
 @dataclass

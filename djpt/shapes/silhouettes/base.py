@@ -22,6 +22,7 @@ __all__ = [
     "TURN",
     "Placement",
     "Silhouette",
+    "SilhouetteOfPoints",
     "SurfacePoint",
     "aligned",
     "away_from",
@@ -201,6 +202,17 @@ class Silhouette:
     def sample_of(self, **fields: Any) -> SilhouetteSample3f:
         """A sample of this shape, whose number the caller sets."""
         return SilhouetteSample3f(number=UInt32(0), offset=Float(self.offset), **fields)
+
+
+class SilhouetteOfPoints(Silhouette):
+    """The silhouettes of a shape that is placed by points in memory, a mesh or curves."""
+
+    def place(self) -> Float:
+        return dr.detach(getattr(self.shape, self.shape.points_parameter))
+
+    def attached(self, lanes: int = 1) -> Float | Float64 | None:
+        points: Float | Float64 | None = attached_place(self.shape)
+        return points
 
 
 def lets_through(shape: Any) -> bool:

@@ -36,9 +36,8 @@ from djpt.core.warp import (
     uniform_hemisphere_to_square,
 )
 from djpt.jit.types import Array4f, Array4f64, Bool, Float, Float64, Normal3f, Point2f, Point3f, UInt32, Vector3f
-from djpt.shapes.cubic_curve import Place, cubic_place, local_axes, unit
-from djpt.shapes.silhouettes.base import INTERIOR, PERIMETER, Silhouette, SurfacePoint, edge_normal
-from djpt.shapes.silhouettes.moving import attached_place
+from djpt.shapes.cubic_curve import Place, cubic_place, local_axes, unit, vector
+from djpt.shapes.silhouettes.base import INTERIOR, PERIMETER, SilhouetteOfPoints, SurfacePoint, edge_normal
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
 __all__ = ["BSplineCurveSilhouette"]
@@ -100,7 +99,7 @@ class Ring:
         return Normal3f(unit(out * alpha - self.tangent * beta))
 
 
-class BSplineCurveSilhouette(Silhouette):
+class BSplineCurveSilhouette(SilhouetteOfPoints):
     """The silhouettes of all curves of a shape. `uv` are texture coordinates, `prim_index` is the segment.
 
     Samples are chosen as in Mitsuba: curves and segments with equal chances, whatever their lengths.
@@ -175,17 +174,14 @@ class BSplineCurveSilhouette(Silhouette):
 
     def segment_at(self, fraction: Float) -> tuple[UInt32, Float]:
         """The segment, and the parameter in it, at a fraction of all segments."""
-        count = self.shape.primitive_count()
-        along = fraction * count
-        prim = dr.minimum(UInt32(along), count - 1)
-        return prim, along - Float(prim)
+        return self._split(fraction, self.shape.primitive_count())
 
     def end_at(self, fraction: Float, active: Bool | bool) -> tuple[UInt32, Float, Float]:
         """The segment at an end of a curve, the parameter there, and the fraction of the circle, for one of all."""
         curve, within = self._split(fraction, self.shape.curve_count)
         end, turn = self._split(within, 2)
-        first, after = (dr.gather(UInt32, self.shape.first_segments, curve + k, active) for k in range(2))
-        return dr.select(end == 0, first, after - 1), Float(end), turn
+        first, last = self.segments_of(curve, active)
+        return dr.select(end == 0, first, last), Float(end), turn
 
     @staticmethod
     def _split(fraction: Float, count: int) -> tuple[UInt32, Float]:
@@ -199,6 +195,11 @@ class BSplineCurveSilhouette(Silhouette):
         first = self.shape.first_segments
         after = dr.binary_search(0, self.shape.curve_count, lambda k: dr.gather(UInt32, first, k, active) <= prim_index)
         return UInt32(after) - 1
+
+    def segments_of(self, curve: UInt32, active: Bool | bool) -> tuple[UInt32, UInt32]:
+        """The first and the last segment of a curve."""
+        first, after = (dr.gather(UInt32, self.shape.first_segments, curve + k, active) for k in range(2))
+        return first, after - 1
 
     # ---- silhouettes ----------------------------------------------------------------------
 
@@ -233,7 +234,7 @@ class BSplineCurveSilhouette(Silhouette):
         stretch = dr.maximum(dr.squared_norm(forward), 1e-30)
         k, speed = dr.dot(out, ring.turn), dr.norm(place.dc)
         faster = dr.dot(ring.tangent, place.ddc)
-        third = vector_of(points[3] - points[0] + 3 * (points[1] - points[2]))
+        third = vector(points[3] - points[0] + 3 * (points[1] - points[2]))
         turning = (dr.dot(out, third) - 2 * faster * k) * dr.rcp(dr.maximum(speed, 1e-30))
         around = -place.r * alpha
         mixed = place.r * beta * dr.dot(b, ring.turn)
@@ -301,10 +302,9 @@ class BSplineCurveSilhouette(Silhouette):
     ) -> SilhouetteSample3f:
         prim, phi = UInt32(si.prim_index), si.uv.x * (2 * math.pi)
         if flags & PERIMETER:
-            curve = self.curve_of(prim, active)
-            first, after = (dr.gather(UInt32, self.shape.first_segments, curve + k, active) for k in range(2))
-            begins = 2 * (Float(prim - first) + self.v(prim, si.uv)) < Float(after - first)
-            end = dr.select(begins, first, after - 1), dr.select(begins, Float(0), 1)
+            first, last = self.segments_of(self.curve_of(prim, active), active)
+            begins = 2 * (Float(prim - first) + self.v(prim, si.uv)) < Float(last + 1 - first)
+            end = dr.select(begins, first, last), dr.select(begins, Float(0), 1)
             ss = self._seen_end(viewpoint, *end, phi)
             ss.discontinuity_type = dr.select(self.stops(ss, active), ss.discontinuity_type, 0)
             return ss
@@ -341,14 +341,13 @@ class BSplineCurveSilhouette(Silhouette):
         cos = (toward * dr.rcp(dr.maximum(speed, 1e-30)) - place.r) / far
         begin, psi = dr.atan2(y, x), dr.mulsign(dr.safe_acos(cos), side)
         found = dr.abs(cos) <= 1
-        rest = Float(1)
         for _ in range(STEPS):
             out = ring.out(begin + psi)
             alpha, _ = ring.along(out)
             sin_psi, cos_psi = dr.sincos(psi)
-            rest = dr.fma(far, cos_psi, place.r) * alpha - toward
-            b = dr.cross(ring.tangent, out)
-            slope = -far * sin_psi * alpha - dr.fma(far, cos_psi, place.r) * place.r * dr.dot(b, ring.turn)
+            reach = dr.fma(far, cos_psi, place.r)
+            rest = reach * alpha - toward
+            slope = -far * sin_psi * alpha - reach * place.r * dr.dot(dr.cross(ring.tangent, out), ring.turn)
             step = rest / dr.select(dr.abs(slope) > 1e-20, slope, 1)
             psi = psi - dr.clip(step, -0.5, 0.5)
         phi = begin + psi
@@ -395,25 +394,18 @@ class BSplineCurveSilhouette(Silhouette):
         v, phi = self.v(ss.prim_index, ss.uv), ss.uv.x * (2 * math.pi)
         end, inward, _ = self.end(ss.prim_index, v, active)
         out = end.out(phi)
-        n = self._normal(ss.prim_index, v, ss, active)
+        n = end.normal(out)
         along = dr.normalize(dr.fma(n, -dr.dot(n, inward), inward)) * (INSET * end.place.r)
         # Outside of a bend rays pass the straight pieces before they graze the curve.
         ring, points = self.ring(ss.prim_index, v, active)
         c, r = self.chord(ss.prim_index, v, points, active)
-        depth = dr.dot(n, ss.p - dr.fma(ring.out(phi), r, c)) * dr.rcp(dr.maximum(ring.place.r, 1e-30))
-        turned = phi + dr.mulsign(dr.safe_sqrt(2 * depth), -dr.dot(dr.cross(ring.tangent, n), ss.d))
+        depth = dr.dot(ss.n, ss.p - dr.fma(ring.out(phi), r, c)) * dr.rcp(dr.maximum(ring.place.r, 1e-30))
+        turned = phi + dr.mulsign(dr.safe_sqrt(2 * depth), -dr.dot(dr.cross(ring.tangent, ss.n), ss.d))
         side = ring.out(turned)
         on_end = ss.discontinuity_type == PERIMETER
         return dr.select(on_end, end.point(out) + along, ring.point(side)), dr.select(on_end, n, ring.normal(side))
 
     # ---- motion -------------------------------------------------------------------------------
-
-    def place(self) -> Float:
-        return dr.detach(self.shape.control_points)
-
-    def attached(self, lanes: int = 1) -> Float | Float64 | None:
-        controls: Float | Float64 | None = attached_place(self.shape)
-        return controls
 
     def follow(self, prim_index: UInt32, uv: Point2f, active: Bool | bool) -> Point3f | None:
         controls = self.attached()
@@ -452,8 +444,3 @@ def beyond(ring: Ring, p: Point3f) -> Float:
     out = p - ring.place.c
     slope = dr.dot(out, ring.place.ddc) - dr.squared_norm(ring.place.dc)
     return dr.dot(out, ring.place.dc) / dr.select(dr.detach(slope) < 0, slope, -1)
-
-
-def vector_of(a: Array4f) -> Vector3f:
-    """The first three components."""
-    return Vector3f(a.x, a.y, a.z)

@@ -29,13 +29,12 @@ from djpt.shapes.silhouettes.base import (
     INSET,
     PERIMETER,
     Placement,
-    Silhouette,
+    SilhouetteOfPoints,
     SurfacePoint,
     edge_normal,
     of_three,
 )
 from djpt.shapes.silhouettes.foreground import clearance
-from djpt.shapes.silhouettes.moving import attached_place
 from djpt.shapes.silhouettes.normals import attached_normals
 from djpt.shapes.silhouettes.patterns import AT_SEAMS, EVERYWHERE, jumps_of_textures
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
@@ -60,7 +59,7 @@ FLAT = 1 - 1e-6
 """The cosine between the normals of triangles above which they count as one plane."""
 
 
-class MeshSilhouette(Silhouette):
+class MeshSilhouette(SilhouetteOfPoints):
     """The edges, chosen by length; `uv` are barycentric weights. Edge k of triangle f is number 3 f + k."""
 
     shape: Mesh
@@ -353,13 +352,6 @@ class MeshSilhouette(Silhouette):
 
     def texture_place(self, uv: Point2f, prim_uv: Point2f) -> Point2f:
         return prim_uv
-
-    def place(self) -> Float:
-        return dr.detach(self.shape.vertex_positions)
-
-    def attached(self, lanes: int = 1) -> Float | Float64 | None:
-        positions: Float | Float64 | None = attached_place(self.shape)
-        return positions
 
     def follow(self, prim_index: UInt32, uv: Point2f, active: Bool | bool) -> Point3f | None:
         positions = self.attached()
