@@ -182,7 +182,7 @@ class DirectProjectiveIntegrator(PSIntegrator):
         it.p = si.p
         ds, importance = sensor.sample_direction(it, sampler.next_2d(), active)
         active = active & dr.any(importance != 0)
-        active = active & ~self.hides(scene, si.spawn_ray_to(ds.p), active)
+        active = active & ~self.hides_point(scene, si, ds.p, active)
         to_sensor = si.to_local(ds.d)
         value = si.bsdf().visit(lambda bsdf: eval_pdf_light(bsdf, si, to_sensor, active)[0], active)
         found = Color3f(dr.select(active, value * importance, 0))

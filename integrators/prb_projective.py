@@ -263,7 +263,7 @@ class PathProjectiveIntegrator(PSIntegrator):
             row += dr.select(unbroken & (edges > 2), UInt32(1), 0)
             viewer = UInt32(here)
             connects = active & has_flag(bsdf.flags(), SMOOTH) & dr.any(importance != 0)
-            connects &= ~self.hides(scene, si.spawn_ray_to(ds.p), connects)
+            connects &= ~self.hides_point(scene, si, ds.p, connects)
             count += dr.select(connects, UInt32(1), 0)
             # Of all connections of a path one is kept, each with the same probability.
             chosen = connects & (sampler.next_1d() * Float(count) <= 1)

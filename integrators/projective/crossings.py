@@ -38,6 +38,10 @@ BESIDE = 1 / 16
 """How far beside a crossing the direction of an edge is looked for, as a fraction of the reach along the line."""
 NARROWER, NARROWEST = 1 / 8, 4
 """The ratio of such reaches, the first of which is a part of a line; and how often rays apart the last one holds."""
+MEET_WITHIN = 32
+"""How far from two rays surfaces may meet between them, in halves of their distance."""
+ROUNDING = 2e-6
+"""That of the distance of a point from a plane, relative to 1 + the largest coordinate."""
 
 SMOOTH = int(BSDFFlags.Delta)
 
@@ -93,9 +97,8 @@ def edges_on_lines(
             lines.rays(low, Float(0)), lines.rays(high, Float(0)), lines.bits, apart
         )
         a, b = (chains.hit(ray, link, apart) for ray in (ray_a, ray_b))
-        meet = adjoin(a, b)
         # An edge within a shape sticks to it, like its outline.
-        meet &= a.shape_index != b.shape_index
+        meet = touch(a, b, ray_a.d, ray_b.d) & (a.shape_index != b.shape_index)
         counts = apart & (chains.surface(a) != chains.surface(b))
         within = chains.patches.differ(a, b)
         counts &= (link > 0) | (meet & lines.meetings) | within | lines.outlines
@@ -129,6 +132,28 @@ def edges_on_lines(
     largest = dr.abs(here - there) if lines.start is None else dr.maximum(dr.abs(here), dr.abs(there))
     mass = dr.select(moves, dr.max(largest) / length, 0)
     return value * across_line, mass, place
+
+
+def touch(a: SurfaceInteraction3f, b: SurfaceInteraction3f, d_a: Vector3f, d_b: Vector3f) -> Bool:
+    """Whether two surfaces meet where two rays next to each other part, of which each hits one of them first.
+
+    Between the rays, or close to them, their tangent planes have the same distance. Those of a surface and of one
+    close behind its outline haven't.
+
+    Args:
+        a: the hits of one ray.
+        b: those of the other one.
+        d_a: the direction of the first ray.
+        d_b: that of the second one.
+    """
+    gap = a.p - b.p
+    cosine_a, cosine_b = dr.dot(b.n, d_a), dr.dot(a.n, d_b)
+    # How far beyond the plane of b each ray meets that of a.
+    along_a, along_b = dr.dot(b.n, gap) / cosine_a, dr.dot(a.n, gap) / cosine_b
+    size = 1 + dr.maximum(dr.max(dr.abs(a.p)), dr.max(dr.abs(b.p)))
+    rounding = ROUNDING * size * (dr.rcp(dr.abs(cosine_a)) + dr.rcp(dr.abs(cosine_b)))
+    apart: Bool = dr.abs(along_a + along_b) > dr.fma(MEET_WITHIN, dr.abs(along_a - along_b), rounding)
+    return adjoin(a, b) & ~apart
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,7 @@ from djpt.integrators.projective.strips import beside_outline
 from djpt.integrators.projective.wedges import clear_of_wedges
 from djpt.integrators.volpath import VolumetricPath
 from djpt.jit.frozen import recording
-from djpt.jit.types import Bool, Color3f, Float, Point2f, TensorXf, UInt32
+from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, TensorXf, UInt32
 from djpt.rendering.gradients.meetings import meeting_pairs
 from djpt.rendering.gradients.own_rendering import attached_view
 from djpt.rendering.gradients.unproven import Rendering, moves
@@ -56,6 +56,8 @@ PRIMARY_SEED, GUIDING_SEED, INDIRECT_SEED = 0xFFFFFFFF, 0xAFAFAFAF, 0xAA00AA00
 SHADOW_SEED, CUT_SEED, LENS_SEED, CIRCLE_SEED = 0x77777777, 0x33333333, 0x55555555, 0x99999999
 LINE_SEED, PATH_SEED, LAMP_SEED = 0xCCCCCCCC, 0x66666666, 0xDDDDDDDD
 """Combined with the seed of the image, for samples of their own."""
+CLOSE_TO_SURFACE = 1 / 16
+"""How far off a surface rays to the sensor begin, in the distance at which other ones do."""
 
 
 class PSIntegrator(RBIntegrator):
@@ -449,6 +451,16 @@ class PSIntegrator(RBIntegrator):
         if not self.hide_emitters:
             return scene.ray_test(ray, active)
         return scene.closest_hit(ray, active, through_lights=Bool(True)).is_valid()
+
+    def hides_point(self, scene: Scene, si: SurfaceInteraction3f, p: Point3f, active: Bool | bool) -> Bool:
+        """Whether something hides surface points from places `p` on the sensor, whose rays hit them exactly.
+
+        Rays back to the sensor leave so close to the surface that rounding lets them.
+        """
+        ray = si.spawn_ray_to(p)
+        ray.o = dr.lerp(si.p, ray.o, CLOSE_TO_SURFACE)
+        ray.d = p - ray.o
+        return self.hides(scene, ray, active)
 
     def seed_rays(self, scene: Scene, sensor: Sensor, sampler: Sampler) -> tuple[Any, Bool]:
         """The rays of paths that `sample` offers for projection."""
