@@ -30,8 +30,9 @@ from djpt.integrators.projective.reattach import (
     relative,
 )
 from djpt.integrators.projective.self_views import following, sees_itself
+from djpt.integrators.projective.wedges import above_horizon
 from djpt.integrators.projective.weights import mis_weight
-from djpt.jit.types import Bool, Color3f, Float, Point2f, UInt32
+from djpt.jit.types import Bool, Color3f, Float, Point2f, UInt32, Vector3f
 from djpt.materials.base import eval_pdf_light
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
@@ -72,6 +73,7 @@ class DirectProjectiveIntegrator(PSIntegrator):
         active: Any = True,
         project: bool = False,
         si_shade: Any = None,
+        horizon: Any = None,
         **kwargs: Any,
     ) -> Any:
         attached = mode != dr.ADMode.Primal
@@ -90,6 +92,8 @@ class DirectProjectiveIntegrator(PSIntegrator):
         by_light = onward & has_flag(bsdf.flags(), SMOOTH)
         ds, weight = scene.sample_emitter_direction(dr.detach(si), sampler.next_2d(), True, by_light)
         lit = by_light & (ds.pdf != 0)
+        if horizon is not None:
+            lit &= above_horizon(ds, horizon)
         with dr.resume_grad(when=attached):
             d = ds.d
             if attached:
@@ -161,9 +165,11 @@ class DirectProjectiveIntegrator(PSIntegrator):
             front = self.shade(scene, sampler, ray, 0, si, active)
         return dr.select(active, Color3f(front), 0), dr.select(active, Color3f(back), 0), behind, active
 
-    def radiance_along(self, scene: Any, ray: Any, si: Any, depth: Any, sampler: Any, active: Bool) -> Color3f:
+    def radiance_along(
+        self, scene: Any, ray: Any, si: Any, depth: Any, sampler: Any, active: Bool, horizon: Vector3f
+    ) -> Color3f:
         seen = active & (UInt32(depth) == 0)
-        shaded = super().radiance_along(scene, ray, si, 0, sampler, seen)
+        shaded = super().radiance_along(scene, ray, si, 0, sampler, seen, horizon)
         return dr.select(seen, shaded, dr.select(active, si.emitter(scene).eval(si, active & ~seen), 0))
 
     def sample_importance(

@@ -30,6 +30,7 @@ from djpt.integrators.projective.self_views import (
     self_viewer,
     self_viewers,
 )
+from djpt.integrators.projective.wedges import above_horizon
 from djpt.integrators.projective.weights import mis_weight
 from djpt.jit.kernels import opaque
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
@@ -61,7 +62,19 @@ class PathProjectiveIntegrator(PSIntegrator):
 
     @dr.syntax
     def sample(  # type: ignore[no-untyped-def, override]
-        self, mode, scene, sampler, ray, depth, δL, state_in, active, project=False, si_shade=None, **kwargs
+        self,
+        mode,
+        scene,
+        sampler,
+        ray,
+        depth,
+        δL,
+        state_in,
+        active,
+        project=False,
+        si_shade=None,
+        horizon=None,
+        **kwargs,
     ):
         primal = mode == dr.ADMode.Primal
         ctx = BSDFContext()
@@ -125,6 +138,8 @@ class PathProjectiveIntegrator(PSIntegrator):
             by_light = onward & has_flag(bsdf.flags(), SMOOTH)
             ds, weight = scene.sample_emitter_direction(still, sampler.next_2d(), True, by_light)
             by_light &= ds.pdf != 0
+            if dr.hint(horizon is not None, mode="scalar"):
+                by_light &= ~first | above_horizon(ds, horizon)
             with dr.resume_grad(when=not primal):
                 toward = ds.d
                 if dr.hint(not primal, mode="scalar"):

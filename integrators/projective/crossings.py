@@ -113,13 +113,13 @@ def edges_on_lines(
         place = dr.select(front_first, low, high)
         edge = Edge(chains, lines, place, link, meet, across, front_first, (a, ray_a), (b, ray_b), counts)
         slope = edge.slope()
-        seen_a, seen_b = clear_of_wedges(chains.scene, a, b, ray.d, counts)
+        (seen_a, horizon_a), (seen_b, horizon_b) = clear_of_wedges(chains.scene, a, b, ray.d, counts)
         if chains.longest:
             (ray_a, seen_a), (ray_b, seen_b) = edge.beside_strip(slope, seen_a, seen_b)
         # The same random numbers on both sides: where they look alike, the difference vanishes.
         again = sampler.clone()
-        here = weight_a * integrator.radiance_along(chains.scene, ray_a, seen_a, depth, again, counts)
-        there = weight_b * integrator.radiance_along(chains.scene, ray_b, seen_b, depth, sampler, counts)
+        here = weight_a * integrator.radiance_along(chains.scene, ray_a, seen_a, depth, again, counts, horizon_a)
+        there = weight_b * integrator.radiance_along(chains.scene, ray_b, seen_b, depth, sampler, counts, horizon_b)
         factor = weight(place) * (times * (0.5 * math.pi / lines.length))
         here, there = here * factor, there * factor
         keep(place, link, counts, here, there, across, meet, a.p, b.p, a.n, b.n)

@@ -37,7 +37,7 @@ from djpt.integrators.projective.strips import beside_outline
 from djpt.integrators.projective.wedges import clear_of_wedges
 from djpt.integrators.volpath import VolumetricPath
 from djpt.jit.frozen import recording
-from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, TensorXf, UInt32
+from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, TensorXf, UInt32, Vector3f
 from djpt.rendering.gradients.meetings import meeting_pairs
 from djpt.rendering.gradients.own_rendering import attached_view
 from djpt.rendering.gradients.unproven import Rendering, moves
@@ -125,12 +125,14 @@ class PSIntegrator(RBIntegrator):
         active: Any,
         project: bool = False,
         si_shade: Any = None,
+        horizon: Any = None,
     ) -> Any:
         """The result of all samples: see `ADIntegrator.sample`.
 
-        Two more keywords may be given. With `project` true, the fourth result is (rays, mask): one ray per path that
-        hits a surface, to be projected onto silhouettes. If `si_shade` is given, the path starts at these surface
-        points, whatever `ray` is.
+        More keywords may be given. With `project` true, the fourth result is (rays, mask): one ray per path that hits
+        a surface, to be projected onto silhouettes. If `si_shade` is given, the path starts at these surface points,
+        whatever `ray` is; light of points, and parallel light, doesn't arrive there if it makes a negative scalar
+        product with vectors `horizon`.
         """
         raise NotImplementedError(f"{type(self).__name__} needs a method sample(mode, scene, sampler, ray, ..)")
 
@@ -491,23 +493,39 @@ class PSIntegrator(RBIntegrator):
             if has_mirrors(scene):
                 inner, _ = beside_outline(inner, ss.d, front)
                 front = dr.select(there & has_flag(front.bsdf().flags(), BSDFFlags.Delta), inner, front)
-        return *clear_of_wedges(scene, front, behind, ss.d, known), behind, known
+        seen, seen_behind = clear_of_wedges(scene, front, behind, ss.d, known)
+        return seen.si, seen_behind.si, behind, known
 
     def radiance_along(
-        self, scene: Scene, ray: Any, si: SurfaceInteraction3f, depth: Any, sampler: Sampler, active: Bool
+        self,
+        scene: Scene,
+        ray: Any,
+        si: SurfaceInteraction3f,
+        depth: Any,
+        sampler: Sampler,
+        active: Bool,
+        horizon: Vector3f,
     ) -> Color3f:
-        """The radiance along rays that hit `si`, after a number of edges.
+        """The radiance along rays that hit `si`, after a number of edges, with a horizon: see `BesideEdge`.
 
         Where the shading normal of an outline points away from the viewer, it is bent until it doesn't.
         """
-        return dr.select(active, self.shade(scene, sampler, ray, depth, toward_viewer(si, ray.d), active), 0)
+        shown = toward_viewer(si, ray.d)
+        return dr.select(active, self.shade(scene, sampler, ray, depth, shown, active, horizon=horizon), 0)
 
     def shade(
-        self, scene: Scene, sampler: Sampler, ray: Any, depth: Any, si: SurfaceInteraction3f | None, active: Any
+        self,
+        scene: Scene,
+        sampler: Sampler,
+        ray: Any,
+        depth: Any,
+        si: SurfaceInteraction3f | None,
+        active: Any,
+        **kwargs: Any,
     ) -> Color3f:
-        """The radiance along rays, or from surface points."""
+        """The radiance along rays, or from surface points; `kwargs` are those of `sample`."""
         options = {**modes(dr.ADMode.Primal, scene, sampler, ray), "depth": depth, "active": Bool(active)}
-        return Color3f(self.sample(**options, δL=None, δaovs=None, state_in=None, si_shade=si)[0])
+        return Color3f(self.sample(**options, δL=None, δaovs=None, state_in=None, si_shade=si, **kwargs)[0])
 
 
 def nothing_else(scene: Scene) -> bool:
