@@ -19,7 +19,7 @@ MOST = 16
 CORNERS = (
     # Where an outline arrives at the floor behind it, in the sun: a shadow begins there behind a sliver of the floor.
     (8, 8, 7),
-    # Where two bodies meet, in the sun, and one throws a shadow on the other: along the curve in which they do at first.
+    # Where two bodies meet, in the sun, and one throws a shadow on the other that grows slowly along the curve.
     (13, 3, 13),
 )
 """Pixels with edges of two kinds that meet, by the seed of the scene, the column and the row."""
