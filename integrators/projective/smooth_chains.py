@@ -30,6 +30,8 @@ MOST_CHAIN_LINKS = 8
 REFLECTED = int(BSDFFlags.DeltaReflection)
 PASSED = int(BSDFFlags.DeltaTransmission | BSDFFlags.Null)
 REFLECTION, TRANSMISSION = BSDFContext(type_mask=REFLECTED), BSDFContext(type_mask=PASSED)
+BEYOND = 1 / 4
+"""How far beyond two points, in their distance, surfaces are looked for between them, which rounding moves."""
 CHANCE = 0.5
 """The random number of lobes: all smooth reflections of a surface go one way, and so does all that passes."""
 
@@ -107,10 +109,11 @@ class Chains:
             there = [self.hit(Ray3f(o, d, maxt=maxt), link, goes) for o, d, maxt, _ in (a, b)]
             goes = goes & (self.surface(there[0]) == self.surface(there[1])) & (link < last)
             turned = [self.turn(si, bits >> link, goes) for si in there]
+            rays = [si.spawn_ray(si.to_world(bs.wo)) for si, (bs, _, _) in zip(there, turned, strict=True)]
             goes = goes & turned[0][2] & turned[1][2]
+            goes = goes & ~self._parted(rays[0].o, rays[1].o, goes)
             onward = []
-            for (o, d, maxt, weight), si, (bs, factor, _) in zip((a, b), there, turned, strict=True):
-                ray = si.spawn_ray(si.to_world(bs.wo))
+            for (o, d, maxt, weight), ray, (_, factor, _) in zip((a, b), rays, turned, strict=True):
                 onward.append(
                     (
                         dr.select(goes, ray.o, o),
@@ -129,6 +132,15 @@ class Chains:
         )
         first, second = (Ray3f(o, d, maxt=maxt) for o, d, maxt, _ in (a, b))
         return link, (first, a[3]), (second, b[3])
+
+    def _parted(self, a: Point3f, b: Point3f, active: Bool) -> Bool:
+        """Whether something is between points next to each other at which rays leave a surface.
+
+        So it is in narrow wedges, next to the edge in which two surfaces meet: rays begin at a height above the first
+        one, which is behind the second one. That only one of them sees what is behind it makes no edge.
+        """
+        way = b - a
+        return Bool(self.scene.ray_test(Ray3f(dr.fma(way, -BEYOND, a), way, maxt=Float(1 + 2 * BEYOND)), active))
 
     def arrive(self, ray: Ray3f, bits: UInt32, link: UInt32, active: Bool) -> SurfaceInteraction3f:
         """Where the ray of a link arrives, given the first ray; nowhere if the chain ends before."""
