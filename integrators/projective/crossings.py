@@ -204,7 +204,7 @@ class Edge:
         return Vector2f(*slopes)
 
     def beside_strip(self, slope: Vector2f, *seen: SurfaceInteraction3f) -> list[tuple[Ray3f, SurfaceInteraction3f]]:
-        """The rays to both sides, and what they hit: in front at the inner border of the strip, if that is smooth.
+        """The rays to both sides, and what they hit: in front at the inner border of the strip, if that shows others.
 
         The edges that a smooth surface shows run along its outline in the end, as those do that lie on it.
         """
@@ -217,7 +217,8 @@ class Edge:
             aside = self.chains.attached(first, lines.bits, self.link, lanes)
             inner = self.chains.hit(aside, self.link, lanes)
             lanes &= self.chains.surface(inner) == self.chains.surface(si)
-            inner, onward = beside_outline(inner, aside.d, si)
+            inner, onward, other = beside_outline(self.chains, inner, aside.d, si, lanes)
+            lanes &= other
             o, d = dr.select(lanes, aside.o, ray.o), dr.select(lanes, onward, ray.d)
             shown.append((Ray3f(o, d, maxt=ray.maxt), dr.select(lanes, inner, si)))
         return shown

@@ -9,13 +9,11 @@ from typing import Any
 import drjit as dr
 
 from djpt.core.records import (
-    BSDFFlags,
     DirectionSample3f,
     Interaction3f,
     Ray3f,
     RayFlags,
     SurfaceInteraction3f,
-    has_flag,
 )
 from djpt.description.properties import Properties
 from djpt.dispatch.ensemble import Attached
@@ -32,6 +30,7 @@ from djpt.integrators.projective.reattach import delta_lights, has_mirrors
 from djpt.integrators.projective.receivers import followed, only_lamps_shine, outlined, shadowed_lamps
 from djpt.integrators.projective.self_views import Approach
 from djpt.integrators.projective.shadows import LampShadows, ShadowEdges
+from djpt.integrators.projective.smooth_chains import Chains
 from djpt.integrators.projective.spread import lens_points, spread
 from djpt.integrators.projective.strips import beside_outline
 from djpt.integrators.projective.wedges import clear_of_wedges
@@ -491,8 +490,9 @@ class PSIntegrator(RBIntegrator):
             other = there & (patches.number(inner) != patches.number(front))
             front = front.replaced(uv=dr.select(other, inner.uv, front.uv))
             if has_mirrors(scene):
-                inner, _ = beside_outline(inner, ss.d, front)
-                front = dr.select(there & has_flag(front.bsdf().flags(), BSDFFlags.Delta), inner, front)
+                chains = Chains(self, scene, self.max_depth - 2, False)
+                inner, _, other = beside_outline(chains, inner, ss.d, front, there)
+                front = dr.select(other, inner, front)
         seen, seen_behind = clear_of_wedges(scene, front, behind, ss.d, known)
         return seen.si, seen_behind.si, behind, known
 

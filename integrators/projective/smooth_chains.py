@@ -102,6 +102,18 @@ class Chains:
         start = zero, Point3f(ray.o) + Float(zero), Vector3f(ray.d) + Float(zero), ray.maxt + Float(zero), zero
         return UInt32(dr.while_loop((*start, active), lambda *s: s[-1], body, label="smooth surfaces")[4])
 
+    def show_others(self, a: SurfaceInteraction3f, b: SurfaceInteraction3f, active: Bool) -> Bool:
+        """Whether points of smooth surfaces show different ones: by reflections alone, or by all that passes."""
+        other = Bool(False)
+        for bits in (UInt32(0), UInt32(2**MOST_CHAIN_LINKS - 1)):
+            numbers = []
+            for si in (a, b):
+                bs, _, smooth = self.turn(si, bits, active)
+                onward = si.spawn_ray(si.to_world(bs.wo))
+                numbers.append(dr.select(smooth, self.follow(onward, bits + dr.zeros(UInt32, dr.width(a)), smooth), 0))
+            other |= numbers[0] != numbers[1]
+        return active & other
+
     def parting(self, first: Ray3f, second: Ray3f, bits: UInt32, active: Bool) -> tuple[UInt32, Any, Any]:
         """The number of the link at which two chains meet different surfaces; their rays there, with weights."""
 
