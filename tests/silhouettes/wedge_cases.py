@@ -26,13 +26,13 @@ def furrow() -> Any:
     return djpt.Mesh("moving", np.float32(points) + SHIFT, faces, props={"bsdf": WHITE, "face_normals": True})
 
 
-def cup(height: float) -> Any:
+def cup(height: float, bsdf: dict[str, Any]) -> Any:
     """A square cup, upside down a pyramid without its tip, whose bottom is at a height."""
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     levels = [np.c_[size * corners, np.full(4, z)] for size, z in ((0.4, height), (1.0, height + 0.8))]
     quads = [(3, 2, 1, 0), (4, 5, 6, 7), *((k, (k + 1) % 4, (k + 1) % 4 + 4, k + 4) for k in range(4))]
     faces = np.array([face for a, b, c, d in quads for face in ((a, b, c), (a, c, d))], np.uint32)
-    return djpt.Mesh("moving", np.float32(np.concatenate(levels)), faces, props={"bsdf": WHITE, "face_normals": True})
+    return djpt.Mesh("moving", np.float32(np.concatenate(levels)), faces, props={"bsdf": bsdf, "face_normals": True})
 
 
 def sun(*direction: float) -> dict[str, Any]:
@@ -47,8 +47,8 @@ def a_furrow() -> dict[str, Any]:
     return {"moving": furrow(), "sun": sun(-0.2, 0, -1), "sensor": FROM_ABOVE}
 
 
-def a_cup(height: float, light: dict[str, Any]) -> dict[str, Any]:
-    return {"moving": cup(height), "floor": FLOOR, "light": light, "sensor": ASIDE}
+def a_cup(height: float, light: dict[str, Any], bsdf: dict[str, Any] = WHITE) -> dict[str, Any]:
+    return {"moving": cup(height, bsdf), "floor": FLOOR, "light": light, "sensor": ASIDE}
 
 
 def a_furrow_in_a_mirror() -> dict[str, Any]:
@@ -69,6 +69,7 @@ CASES: dict[str, Case] = {
     "a cup on a floor": Case(lambda: a_cup(0.0, LOW), slide, step=0.02),
     "a cup that a floor cuts, indirect light": Case(lambda: a_cup(-0.2, SKY), slide, PRB, depth=4, step=0.02),
     "a cup that a floor cuts": Case(lambda: a_cup(-0.2, SKY), slide, step=0.02),
+    "a mirror that a floor cuts": Case(lambda: a_cup(-0.2, SKY, {"type": "conductor"}), slide, step=0.02),
 }
 for motion in ("step aside", "turn"):
     CASES |= {
