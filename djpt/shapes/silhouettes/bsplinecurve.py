@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import drjit as dr
 
@@ -99,6 +99,16 @@ class Ring:
         return Normal3f(unit(out * alpha - self.tangent * beta))
 
 
+class End(NamedTuple):
+    """The end of a tube."""
+
+    ring: Ring
+    inward: Vector3f
+    """The direction from there along the tube."""
+    gap: Float
+    """What rays must keep clear of the circle."""
+
+
 class BSplineCurveSilhouette(SilhouetteOfPoints):
     """The silhouettes of all curves of a shape. `uv` are texture coordinates, `prim_index` is the segment.
 
@@ -125,13 +135,10 @@ class BSplineCurveSilhouette(SilhouetteOfPoints):
         points = self.controls(prim_index, active, controls)
         return Ring.of(cubic_place(points, v)), points
 
-    def end(
-        self, prim_index: UInt32, v: Float, active: Bool | bool, controls: Float | Float64 | None = None
-    ) -> tuple[Ring, Vector3f, Float]:
-        """The circle at the end of a curve, where v is 0 or 1, the direction from there along the tube, and a gap.
+    def end(self, prim_index: UInt32, v: Float, active: Bool | bool, controls: Float | Float64 | None = None) -> End:
+        """The end of a curve, where v is 0 or 1.
 
-        The gap is what rays must keep clear of the circle. Where a tube bends within less than its width, its second
-        piece reaches beyond the first one.
+        Where a tube bends within less than its width, its second piece reaches beyond the first one.
         """
         points = self.controls(prim_index, active, controls)
         step = dr.rcp(Float(dr.gather(UInt32, self.shape.piece_counts, prim_index, active)))
@@ -144,7 +151,7 @@ class BSplineCurveSilhouette(SilhouetteOfPoints):
         last.c, last.r = dr.select(begins, first.c, second.c), dr.select(begins, first.r, second.r)
         turn = dr.norm(dr.cross(unit(first.dc), unit(second.dc)))
         beyond_end = dr.maximum(1.5 * last.r * turn - dr.norm(last.dc), 0)
-        return ring, ring.tangent * dr.select(begins, Float(1), -1), dr.fma(last.r, GAP, beyond_end)
+        return End(ring, ring.tangent * dr.select(begins, Float(1), -1), dr.fma(last.r, GAP, beyond_end))
 
     def controls(
         self, prim_index: UInt32, active: Bool | bool, controls: Float | Float64 | None = None
@@ -204,15 +211,15 @@ class BSplineCurveSilhouette(SilhouetteOfPoints):
     # ---- silhouettes ----------------------------------------------------------------------
 
     def _on_end(
-        self, prim_index: UInt32, v: Float, phi: Float, end: tuple[Ring, Vector3f, Float], d: Vector3f, flags: int
+        self, prim_index: UInt32, v: Float, phi: Float, end: End, d: Vector3f, flags: int
     ) -> SilhouetteSample3f:
         """The point of an end's circle at an angle, with the direction d."""
-        ring, inward, gap = end
+        ring = end.ring
         out = ring.out(phi)
         tangent = dr.cross(out, ring.tangent)
         return self.sample_of(
             p=ring.point(out),
-            n=edge_normal(d, tangent, inward),
+            n=edge_normal(d, tangent, end.inward),
             uv=self.uv(prim_index, v, phi),
             discontinuity_type=dr.select(ring.place.r > 0, UInt32(PERIMETER), 0),
             flags=UInt32(flags),
@@ -220,7 +227,7 @@ class BSplineCurveSilhouette(SilhouetteOfPoints):
             silhouette_d=tangent,
             prim_index=prim_index,
             foreshortening=dr.norm(dr.cross(d, tangent)),
-            gap=gap,
+            gap=end.gap,
         )
 
     def _turning(
@@ -263,7 +270,7 @@ class BSplineCurveSilhouette(SilhouetteOfPoints):
             prim, v, turn = self.end_at(sample.x, active)
             phi = turn * (2 * math.pi)
             end = self.end(prim, v, active)
-            ring = end[0]
+            ring = end.ring
             frame = Frame3f.from_normal(ring.normal(ring.out(phi)))
             local = square_to_uniform_hemisphere(Point2f(sample.y, sample.z))
             ss = self._on_end(prim, v, phi, end, -frame.to_world(local), flags)
@@ -320,7 +327,7 @@ class BSplineCurveSilhouette(SilhouetteOfPoints):
     def _seen_end(self, viewpoint: Point3f, prim_index: UInt32, v: Float, phi: Float) -> SilhouetteSample3f:
         """The point of an end at an angle."""
         end = self.end(prim_index, v, True)
-        ring = end[0]
+        ring = end.ring
         d = dr.normalize(ring.point(ring.out(phi)) - viewpoint)
         ss = self._on_end(prim_index, v, phi, end, d, PERIMETER)
         ss.pdf = dr.select(ss.is_valid(), dr.rcp(2 * math.pi * ring.place.r), 0)
@@ -383,7 +390,7 @@ class BSplineCurveSilhouette(SilhouetteOfPoints):
     def _normal(self, prim_index: UInt32, v: Float, ss: SilhouetteSample3f, active: Bool | bool) -> Normal3f:
         """The normal of the tube at a silhouette."""
         phi = ss.uv.x * (2 * math.pi)
-        ring, end = self.ring(prim_index, v, active)[0], self.end(prim_index, v, active)[0]
+        ring, end = self.ring(prim_index, v, active)[0], self.end(prim_index, v, active).ring
         return dr.select(ss.discontinuity_type == INTERIOR, ring.normal(ring.out(phi)), end.normal(end.out(phi)))
 
     def stops(self, ss: SilhouetteSample3f, active: Bool | bool) -> Bool:
@@ -414,7 +421,7 @@ class BSplineCurveSilhouette(SilhouetteOfPoints):
         uv = dr.detach(uv)
         v, phi = self.v(prim_index, uv), uv.x * (2 * math.pi)
         ring, points = self.ring(prim_index, v, active, controls)
-        end = self.end(prim_index, v, active, controls)[0]
+        end = self.end(prim_index, v, active, controls).ring
         # The distance of the straight pieces from the curve changes as it bends.
         ring.place.c, ring.place.r = self.chord(prim_index, v, points, active)
         rounding = dr.epsilon(Float) * (1 + self.shape.primitive_count())
