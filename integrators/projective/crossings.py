@@ -40,8 +40,10 @@ NARROWER, NARROWEST = 1 / 8, 4
 """The ratio of such reaches, the first of which is a part of a line; and how often rays apart the last one holds."""
 MEET_WITHIN = 32
 """How far from two rays surfaces may meet between them, in halves of their distance."""
+MEET_CLOSE = 1e-3
+"""How far off each other's tangent planes surfaces that meet may be, relative to coordinates and distances."""
 ROUNDING = 2e-6
-"""That of the distance of a point from a plane, relative to 1 + the largest coordinate."""
+"""That of the distance of a point from a plane, relative to the same."""
 
 SMOOTH = int(BSDFFlags.Delta)
 
@@ -98,7 +100,8 @@ def edges_on_lines(
         )
         a, b = (chains.hit(ray, link, apart) for ray in (ray_a, ray_b))
         # An edge within a shape sticks to it, like its outline.
-        meet = touch(a, b, ray_a.d, ray_b.d) & (a.shape_index != b.shape_index)
+        touching = touch(a, b, ray_a.d, ray_b.d)
+        meet = touching & (a.shape_index != b.shape_index)
         counts = apart & (chains.surface(a) != chains.surface(b))
         within = chains.patches.differ(a, b)
         counts &= (link > 0) | (meet & lines.meetings) | within | lines.outlines
@@ -113,7 +116,7 @@ def edges_on_lines(
         place = dr.select(front_first, low, high)
         edge = Edge(chains, lines, place, link, meet, across, front_first, (a, ray_a), (b, ray_b), counts)
         slope = edge.slope()
-        (seen_a, horizon_a), (seen_b, horizon_b) = clear_of_wedges(chains.scene, a, b, ray.d, counts)
+        (seen_a, horizon_a), (seen_b, horizon_b) = clear_of_wedges(chains.scene, a, b, ray.d, counts & touching)
         if chains.longest:
             (ray_a, seen_a), (ray_b, seen_b) = edge.beside_strip(slope, seen_a, seen_b)
         # The same random numbers on both sides: where they look alike, the difference vanishes.
@@ -147,13 +150,15 @@ def touch(a: SurfaceInteraction3f, b: SurfaceInteraction3f, d_a: Vector3f, d_b: 
         d_b: that of the second one.
     """
     gap = a.p - b.p
+    off_a, off_b = dr.dot(b.n, gap), dr.dot(a.n, gap)
     cosine_a, cosine_b = dr.dot(b.n, d_a), dr.dot(a.n, d_b)
     # How far beyond the plane of b each ray meets that of a.
-    along_a, along_b = dr.dot(b.n, gap) / cosine_a, dr.dot(a.n, gap) / cosine_b
-    size = 1 + dr.maximum(dr.max(dr.abs(a.p)), dr.max(dr.abs(b.p)))
+    along_a, along_b = off_a / cosine_a, off_b / cosine_b
+    size = dr.maximum(dr.max(dr.abs(a.p)) + a.t, dr.max(dr.abs(b.p)) + b.t)
+    close = dr.maximum(dr.abs(off_a), dr.abs(off_b)) < MEET_CLOSE * size
     rounding = ROUNDING * size * (dr.rcp(dr.abs(cosine_a)) + dr.rcp(dr.abs(cosine_b)))
-    apart: Bool = dr.abs(along_a + along_b) > dr.fma(MEET_WITHIN, dr.abs(along_a - along_b), rounding)
-    return adjoin(a, b) & ~apart
+    apart = dr.abs(along_a + along_b) > dr.fma(MEET_WITHIN, dr.abs(along_a - along_b), rounding)
+    return Bool(close & ~apart & a.is_valid() & b.is_valid())
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ from djpt.integrators.projective.shadows import LampShadows, ShadowEdges
 from djpt.integrators.projective.smooth_chains import Chains
 from djpt.integrators.projective.spread import lens_points, spread
 from djpt.integrators.projective.strips import beside_outline
-from djpt.integrators.projective.wedges import clear_of_wedges
+from djpt.integrators.projective.wedges import clear_of_wedges, close_together
 from djpt.integrators.volpath import VolumetricPath
 from djpt.jit.frozen import recording
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, TensorXf, UInt32, Vector3f
@@ -493,7 +493,9 @@ class PSIntegrator(RBIntegrator):
                 chains = Chains(self, scene, self.max_depth - 2, False)
                 inner, _, other = beside_outline(chains, inner, ss.d, front, there)
                 front = dr.select(other, inner, front)
-        seen, seen_behind = clear_of_wedges(scene, front, behind, ss.d, known)
+        seen, seen_behind = clear_of_wedges(
+            scene, front, behind, ss.d, known & close_together(front, behind, ss.d)
+        )
         return seen.si, seen_behind.si, behind, known
 
     def radiance_along(
