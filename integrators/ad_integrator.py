@@ -301,7 +301,8 @@ def attached(integrator: Integrator, scene: Scene, mode: dr.ADMode, sensor: Sens
 
     It does so within a `with` block: shapes move by the same variables as long.
 
-    In forward mode they are copies with the same gradients, whose graph is then the view's own.
+    They are copies, so that their graph is the view's own, whatever clears it: in forward mode with the same gradients;
+    in backward mode, those that they have at the end are propagated to the parameters.
 
     Raises:
         RenderError: the derivatives of images by the integrator are known to be wrong
@@ -314,20 +315,24 @@ def attached(integrator: Integrator, scene: Scene, mode: dr.ADMode, sensor: Sens
         scene = with_copies(scene)
     require_proven(scene, integrator, sensor)
     parameters = [*attached_parameters(scene), *motion_parameters(scene, sensor)]
-    values = [p.value for p in parameters]
-    if mode == dr.ADMode.Forward:
-        with dr.resume_grad():
-            changes = [dr.forward_to(value, flags=dr.ADFlag.ClearNone) for value in values]
-            values = [type(value)(dr.detach(value)) for value in values]
-            # Numbers that were written into a script must not be written into kernels, nor must a change of 0.
-            dr.make_opaque(values, changes)
-            dr.enable_grad(values)
-            dr.set_grad(values, changes)
-    else:
-        dr.make_opaque(values)
-    places = {(id(p.owner), p.attribute): v for p, v in zip(parameters, values, strict=True)}
+    forward = mode == dr.ADMode.Forward
+    with dr.resume_grad():
+        changes = [dr.forward_to(p.value, flags=dr.ADFlag.ClearNone) for p in parameters] if forward else []
+        leaves = [type(p.value)(dr.detach(p.value)) for p in parameters]
+        # Numbers that were written into a script must not be written into kernels, nor must a change of 0.
+        dr.make_opaque(leaves, changes)
+        dr.enable_grad(leaves)
+        if forward:
+            dr.set_grad(leaves, changes)
+    places = {(id(p.owner), p.attribute): leaf for p, leaf in zip(parameters, leaves, strict=True)}
     with exchanged(with_normals(places, scene.shapes())):
         yield attached_view(scene, places)
+    if not forward:
+        with dr.resume_grad():
+            for parameter, leaf in zip(parameters, leaves, strict=True):
+                dr.accum_grad(parameter.value, dr.grad(leaf))
+                dr.enqueue(dr.ADMode.Backward, parameter.value)
+            dr.traverse(dr.ADMode.Backward)
 
 
 def spread_changes(scene: Scene) -> None:
