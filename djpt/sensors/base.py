@@ -67,6 +67,10 @@ class Sensor(SampledRays, Endpoint):
     """The column at which its picture begins there, in pixels."""
     is_attached = False
     """Whether it is a view whose rays are attached: see `attached`."""
+    fixed: frozenset[str] = frozenset()
+    """The attributes that rays are computed from and that stay, whatever has gradients: see `djpt.sensors.moving`."""
+    stands_for: Any = None
+    """The camera of which it is a view with such attributes."""
     has_image_circle = False
     """Whether its film reaches past what the lens shows: rays there have a `maxt` of 0 and meet nothing, not even the
     environment."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import drjit as dr
@@ -21,13 +21,16 @@ __all__ = [
     "attached_view",
     "central_rays",
     "dual",
+    "has_motion",
     "lens_rays",
     "parallel_rays",
     "pinhole",
+    "shifting",
     "still",
+    "turning",
 ]
 
-MATRIX, FOCUS = "attached_matrix", "_focus_distance"
+MATRIX, FOCUS, ORIGIN = "attached_matrix", "_focus_distance", "origin"
 
 
 def attached_transform(value: Any) -> AttachedTransform:
@@ -40,7 +43,7 @@ def attached_values(camera: Any) -> dict[str, Any]:
     values = {}
     with dr.resume_grad():
         for name in camera.motions:
-            value = exchanged_value(camera, name)
+            value = exchanged_value(camera.stands_for or camera, name)
             value = getattr(camera, name) if value is None else value
             if value is not None and dr.grad_enabled(value):
                 values[name] = value
@@ -56,6 +59,8 @@ def attached_view(camera: Any) -> Any:
     view.is_attached = True
     with dr.resume_grad():
         for name, value in camera.moved_rays(values).items():
+            if name in camera.fixed:
+                continue
             setattr(view, name, with_gradient(getattr(camera, name), value))
     return view
 
@@ -75,6 +80,39 @@ def still(camera: Any) -> Any:
         else:
             setattr(view, name, dr.detach(getattr(camera, name)))
     return view
+
+
+def turning(camera: Any) -> Any:
+    """A view of a pinhole camera, or of a batch of them, whose centre stays: only the directions of rays move."""
+    return holding(camera, lambda values: values & {ORIGIN})
+
+
+def shifting(camera: Any) -> Any:
+    """A view of a pinhole camera, or of a batch of them, of which only the centre moves, and no ray turns."""
+    return holding(camera, lambda values: values - {ORIGIN})
+
+
+def holding(camera: Any, fixed: Callable[[frozenset[str]], frozenset[str]]) -> Any:
+    """A view of a camera, or of those of a batch, with some of their `values` held where they are."""
+    view = copy.copy(camera)
+    if camera.delegates():
+        view.sensors = [holding(other, fixed) for other in camera.delegates()]
+        view.forget()
+    else:
+        view.fixed, view.stands_for = fixed(frozenset(camera.values)), camera
+    return view
+
+
+def has_motion(camera: Any, forward: bool) -> bool:
+    """Whether rays of a pinhole camera, or of those of a batch, have gradients; in forward mode, any that aren't 0."""
+    with dr.resume_grad():
+        views = camera.attached().members()
+        found = [value for view in views for value in (getattr(view, name) for name in view.values)]
+        found = [value for value in found if dr.grad_enabled(value)]
+        if not (forward and found):
+            return bool(found)
+        dr.forward_to(found, flags=dr.ADFlag.ClearInterior)
+        return any(dr.any(dr.grad(value) != 0, axis=None) for value in found)
 
 
 def columns(camera: Any, values: Mapping[str, Any]) -> tuple[Vector3f, Vector3f, Vector3f, Point3f]:

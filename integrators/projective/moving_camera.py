@@ -8,7 +8,7 @@ vertices appear and disappear.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import drjit as dr
@@ -24,7 +24,7 @@ from djpt.jit.types import Bool, Color3f, Float, Point2f, TensorXf, UInt32
 from djpt.shapes.silhouettes.foreground import foreground
 from djpt.shapes.silhouettes.seams import turns_dark
 
-__all__ = ["parts_of_image"]
+__all__ = ["Samples", "at_borders", "parts_of_image", "within"]
 
 WITHIN_SEED, BORDER_SEED, OUTLINE_SEED, LENS_SEED, NEAR_SEED = 0x0, 0x66666666, 0x99999999, 0x55555555, 0x33333333
 """Combined with the seed of the image, for samples of their own."""
@@ -41,36 +41,43 @@ MOST_LANES = 1 << 21
 
 
 def parts_of_image(
-    integrator: Any, scene: Any, sensor: Any, spp: int, seed: Any, indirect: bool = False
+    integrator: Any, scene: Any, sensor: Any, spp: int, seed: Any, indirect: bool = False, kind: Any = None
 ) -> Iterator[TensorXf]:
     """The parts of an image, whose values are 0, each attached to what places the camera; gradients are resumed.
 
     A part is made when it is asked for, and holds its samples in memory.
 
     Args:
-        integrator: a `djpt.integrators.volpath.VolumetricPath`.
+        integrator: a `djpt.integrators.volpath.VolumetricPath`, or what samples of that `kind` ask for.
         scene: the scene.
         sensor: the camera, or a batch.
         spp: the samples per pixel.
         seed: their seed.
         indirect: whether light of emitters is left out, seen by the camera or by what it sees; in scenes without media.
+        kind: the class of samples, by default `Samples`.
     """
+    kind = kind or Samples
     width, height = sensor.film().crop_size()
     most = max(1, MOST_LANES // (width * height))
     for number, part in enumerate(sensor.parts()):
         view = scene.replace(sensor=part)
         for turn, done in enumerate(range(0, spp, most)):
             share, own_seed = min(most, spp - done), (seed + 0x9E37 * turn) ^ number
-            for term in (within, at_borders, at_near_plane, at_outlines):
+            for term in kind.terms():
                 with dr.resume_grad():
                     camera = sensor.attached().parts()[number]
-                    image = term(Samples(integrator, view, camera, share, own_seed, spp, indirect))
+                    image = term(kind(integrator, view, camera, share, own_seed, spp, indirect))
                     if dr.grad_enabled(image):
                         yield image
 
 
 class Samples:
-    """What the three estimates of a pass are made of."""
+    """What the estimates of a pass are made of."""
+
+    @staticmethod
+    def terms() -> Sequence[Callable[[Samples], TensorXf]]:
+        """The estimates: each makes an image."""
+        return within, at_borders, at_near_plane, at_outlines
 
     def __init__(
         self, integrator: Any, scene: Any, camera: Any, spp: int, seed: Any, total: int, indirect: bool
@@ -98,7 +105,7 @@ class Samples:
         """The camera, of one with a lens what is seen through a random point of it in each lane."""
         return self.camera.through_lens(sampler.next_2d()) if self.camera.needs_aperture_sample() else self.camera
 
-    def first_vertices(self, camera: Any, sampler: Any, place: Point2f) -> list[FirstVertex]:
+    def first_vertices(self, camera: Any, sampler: Any, place: Point2f) -> Sequence[Any]:
         """What is seen at places on the crop window, in [0, 1)^2: all but media close to the camera, and these."""
         with dr.suspend_grad():
             ray = dr.detach(camera.ray_through(place, Point2f(0)))

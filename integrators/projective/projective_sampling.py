@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator
 from typing import Any
 
 import drjit as dr
@@ -18,13 +17,13 @@ from djpt.core.records import (
 from djpt.description.properties import Properties
 from djpt.dispatch.ensemble import Attached
 from djpt.films.moving_samples import moving_samples
-from djpt.integrators.ad_integrator import UNBOUNDED, RBIntegrator, attached, modes, propagate
+from djpt.integrators.ad_integrator import RBIntegrator, attached, modes, propagate
 from djpt.integrators.projective.beams import BeamSides, has_sides
+from djpt.integrators.projective.camera_apart import camera_apart
 from djpt.integrators.projective.circles import edge_of_circle
 from djpt.integrators.projective.detail import ProjectiveDetail, has_strips
 from djpt.integrators.projective.film_edges import FilmEdges
 from djpt.integrators.projective.kept import keep
-from djpt.integrators.projective.moving_camera import parts_of_image
 from djpt.integrators.projective.path_edges import path_edges
 from djpt.integrators.projective.reattach import delta_lights, has_mirrors
 from djpt.integrators.projective.receivers import followed, only_lamps_shine, outlined, shadowed_lamps
@@ -34,17 +33,13 @@ from djpt.integrators.projective.smooth_chains import Chains
 from djpt.integrators.projective.spread import lens_points, spread
 from djpt.integrators.projective.strips import beside_outline
 from djpt.integrators.projective.wedges import clear_of_wedges, close_together
-from djpt.integrators.volpath import VolumetricPath
 from djpt.jit.frozen import recording
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, TensorXf, UInt32, Vector3f
 from djpt.rendering.gradients.meetings import meeting_pairs
 from djpt.rendering.gradients.own_rendering import attached_view
-from djpt.rendering.gradients.unproven import Rendering, moves
-from djpt.rendering.gradients.unproven_cameras import CAMERA_CASES
 from djpt.samplers.base import Sampler
 from djpt.scene.scene import Scene, find_sensor
 from djpt.sensors.base import Sensor
-from djpt.sensors.moving import still
 from djpt.shapes.silhouettes.foreground import foreground, toward_viewer
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 from djpt.textures.patches import Patches, have_patches
@@ -205,7 +200,7 @@ class PSIntegrator(RBIntegrator):
             return 0
         return runtime_spp or integrator_spp or sampler_spp
 
-    def _counts(self, sensor: Sensor, spp: int) -> tuple[int, int, int]:
+    def counts(self, sensor: Sensor, spp: int) -> tuple[int, int, int]:
         """The samples per pixel of the three estimates."""
         own = sensor.sampler().sample_count()
         within, primary, indirect = (self.override_spp(n, spp, own) for n in (self.sppc, self.sppp, self.sppi))
@@ -215,17 +210,18 @@ class PSIntegrator(RBIntegrator):
         camera = find_sensor(scene, sensor)
         with attached(self, scene, dr.ADMode.Forward, camera) as scene:
             total = dr.zeros(TensorXf, self._shape(camera))
-            within, _, _ = self._counts(camera, spp)
-            if self._moves_alone(scene, camera, spp):
+            within, _, _ = self.counts(camera, spp)
+            view = camera_apart(self, scene, camera, spp, forward=True)
+            if view is not None:
                 bare = attached_view(scene, {})
-                for image in self._of_moving_camera(bare, camera, seed, within):
+                for image in view.parts_of_image(self, bare, seed, within):
                     dr.forward_to(image, flags=dr.ADFlag.ClearInterior)
                     total += dr.grad(image)
                     dr.eval(total)
-                total += self._in_light_of_emitters().render_forward(bare, params, camera, seed, spp)
-                if nothing_else(scene):
+                total += self.in_light_of_emitters().render_forward(bare, params, view.camera, seed, spp)
+                camera = view.rest
+                if nothing_else(scene, camera):
                     return total
-                camera = still(camera)
             if self.radiative_backprop and within:
                 total += super().render_forward(scene, params, camera, seed, within)
             with dr.resume_grad():
@@ -240,16 +236,17 @@ class PSIntegrator(RBIntegrator):
     ) -> None:
         camera = find_sensor(scene, sensor)
         with attached(self, scene, dr.ADMode.Backward, camera) as scene:
-            within, _, _ = self._counts(camera, spp)
-            if self._moves_alone(scene, camera, spp):
+            within, _, _ = self.counts(camera, spp)
+            view = camera_apart(self, scene, camera, spp, forward=False)
+            if view is not None:
                 bare = attached_view(scene, {})
-                for image in self._of_moving_camera(bare, camera, seed, within):
+                for image in view.parts_of_image(self, bare, seed, within):
                     propagate(image, grad_in)
                     dr.eval()
-                self._in_light_of_emitters().render_backward(bare, params, grad_in, camera, seed, spp)
-                if nothing_else(scene):
+                self.in_light_of_emitters().render_backward(bare, params, grad_in, view.camera, seed, spp)
+                camera = view.rest
+                if nothing_else(scene, camera):
                     return
-                camera = still(camera)
             if self.radiative_backprop and within:
                 super().render_backward(scene, params, grad_in, camera, seed, within)
             with dr.resume_grad():
@@ -260,39 +257,16 @@ class PSIntegrator(RBIntegrator):
 
     def attached_image(self, scene: Scene, sensor: Any, seed: Any, spp: int) -> TensorXf | None:
         camera = find_sensor(scene, sensor)
-        within, _, _ = self._counts(camera, spp)
-        if (self.radiative_backprop and within) or self._moves_alone(scene, camera, spp):
+        within, _, _ = self.counts(camera, spp)
+        if (self.radiative_backprop and within) or camera_apart(self, scene, camera, spp, forward=False) is not None:
             return None
         return self.render_ad(scene, sensor, seed, spp, dr.ADMode.Backward)
 
-    def _moves_alone(self, scene: Scene, camera: Sensor, spp: int) -> bool:
-        """Whether light is indirect, a camera moves, nothing else does, and vertices can stay where they are.
-
-        In the light of emitters alone hits that slide have less noise. In indirect light theirs has no bound where
-        surfaces touch.
-        """
-        if self.direct_light_only or self.max_depth <= 2 or recording() or 0 in self._counts(camera, spp):
-            return False
-        if not camera.attached_names() or moves(scene, None):
-            return False
-        rendering = Rendering.of(scene, self, camera)
-        return not any(True for case in CAMERA_CASES for _ in case.found(rendering))
-
-    def _in_light_of_emitters(self) -> PSIntegrator:
+    def in_light_of_emitters(self) -> PSIntegrator:
         """The integrator with no other light."""
         view = copy.copy(self)
         view.max_depth, view.proj_detail = 2, ProjectiveDetail(view)
         return view
-
-    def _of_moving_camera(self, scene: Scene, camera: Sensor, seed: Any, spp: int) -> Iterator[TensorXf]:
-        """The parts of the image in indirect light that a camera moves: see `moving_camera`."""
-        entries = {
-            "max_depth": -1 if self.max_depth == UNBOUNDED else self.max_depth,
-            "rr_depth": self.rr_depth,
-            "hide_emitters": self.hide_emitters,
-        }
-        paths = VolumetricPath(Properties("volpath", "integrator", entries))
-        return parts_of_image(paths, scene, camera, spp, seed, indirect=True)
 
     def _shape(self, sensor: Sensor) -> tuple[int, int, int]:
         """The shape of the image."""
@@ -303,7 +277,7 @@ class PSIntegrator(RBIntegrator):
     def render_ad(self, scene: Scene, sensor: Any, seed: Any, spp: int, mode: dr.ADMode) -> TensorXf:
         """An image with the derivatives that `radiative_backprop` doesn't compute; its values are meaningless."""
         sensor = find_sensor(scene, sensor).attached()
-        within, primary, indirect = self._counts(sensor, spp)
+        within, primary, indirect = self.counts(sensor, spp)
         total = dr.zeros(TensorXf, self._shape(sensor))
         for camera in sensor.parts():
             total += self._edges(scene, camera, seed, primary, indirect)
@@ -493,9 +467,7 @@ class PSIntegrator(RBIntegrator):
                 chains = Chains(self, scene, self.max_depth - 2, False)
                 inner, _, other = beside_outline(chains, inner, ss.d, front, there)
                 front = dr.select(other, inner, front)
-        seen, seen_behind = clear_of_wedges(
-            scene, front, behind, ss.d, known & close_together(front, behind, ss.d)
-        )
+        seen, seen_behind = clear_of_wedges(scene, front, behind, ss.d, known & close_together(front, behind, ss.d))
         return seen.si, seen_behind.si, behind, known
 
     def radiance_along(
@@ -530,11 +502,11 @@ class PSIntegrator(RBIntegrator):
         return Color3f(self.sample(**options, δL=None, δaovs=None, state_in=None, si_shade=si, **kwargs)[0])
 
 
-def nothing_else(scene: Scene) -> bool:
-    """Whether a view reads no values with gradients; shapes and cameras that move aren't asked."""
-    return isinstance(scene.lookup, Attached) and not any(
-        scene.lookup.attaches(leaf) for ensemble in scene.ensembles() for leaf in ensemble.leaves()
-    )
+def nothing_else(scene: Scene, camera: Sensor) -> bool:
+    """Whether a camera stays, and a view reads no values with gradients; shapes that move aren't asked."""
+    if camera.attached_names() or not isinstance(scene.lookup, Attached):
+        return False
+    return not any(scene.lookup.attaches(leaf) for ensemble in scene.ensembles() for leaf in ensemble.leaves())
 
 
 def shapes_meet(scene: Scene, moving: list[Any]) -> bool:

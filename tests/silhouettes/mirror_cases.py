@@ -8,7 +8,8 @@ import numpy as np
 
 import djpt
 from djpt.core.transforms import ScalarTransform4f as T
-from tests.silhouettes.cases import FLOOR, SIZE, Case, ball, plate, sensor, shift, sky, slide, turn
+from tests.silhouettes.camera_cases import orbit
+from tests.silhouettes.cases import FLOOR, SIZE, Case, ball, edit, plate, sensor, shift, sky, slide, turn, turn_head
 
 MIRROR = {"type": "conductor"}
 GLASS = {"type": "dielectric"}
@@ -164,6 +165,23 @@ CASES["a camera, step aside: the rim of a round mirror before fields"] = Case(
     spp=2048,
     step=0.004,
 )
+
+
+def between_walls() -> dict[str, Any]:
+    """A mirror between two walls that touch."""
+    upright = T().translate([0, 1.5, 0.5]).rotate([1, 0, 0], 90)
+    return {
+        "mirror": ball(MIRROR, center=[-0.5, 0.3, -0.3], radius=0.6),
+        "floor": {"type": "rectangle", "to_world": T().translate([0, 0, -1]).scale(1.5), "bsdf": PAPER},
+        "wall": {"type": "rectangle", "to_world": upright.scale(1.5), "bsdf": PAPER},
+        "sky": sky(),
+    }
+
+
+for motion, move in (("turn", turn_head), ("field of view", edit("sensor.x_fov", 20)), ("orbit", orbit)):
+    CASES[f"a camera, {motion}: a mirror between walls that touch"] = Case(
+        between_walls, move, PRB, depth=4, step=0.005, spp=1024, spp_difference=65536
+    )
 
 
 def before_fields(bsdf: Any) -> dict[str, Any]:
