@@ -36,7 +36,7 @@ def test_an_outline_close_to_a_floor_is_not_where_they_meet(size: float, height:
 
 
 def outline(eye: Any, height: float) -> Any:
-    """The point of the outline of the unit ball at a height; at height 0, one in front of it where the floor cuts it."""
+    """The point of the outline of the unit ball at a height; at height 0, one before it on the floor."""
     if height == 0:
         return np.array([np.sin(0.4), -np.cos(0.4), 0.0])
     # The points p of the outline satisfy <p, eye> = 1.
