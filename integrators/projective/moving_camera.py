@@ -19,7 +19,7 @@ from djpt.integrators.paths.transmittance import way_through
 from djpt.integrators.projective.film_geometry import place_on_film, swept_area, viewpoint_of
 from djpt.integrators.projective.first_vertex import FirstVertex
 from djpt.integrators.projective.outlines import Outlines
-from djpt.integrators.projective.spread import lens_points, spread
+from djpt.integrators.projective.spread import BELOW_ONE, lens_points, spread
 from djpt.jit.types import Bool, Color3f, Float, Point2f, TensorXf, UInt32
 from djpt.shapes.silhouettes.foreground import foreground
 from djpt.shapes.silhouettes.seams import turns_dark
@@ -95,11 +95,16 @@ class Samples:
         width, height = self.window
         return self.camera.sampler().begun(self.seed ^ salt, spp, width * height)
 
-    def corners(self, lanes: int) -> Point2f:
-        """The corners of pixels on the crop window, of each as often as it has samples."""
-        pixel = dr.arange(UInt32, lanes) // dr.opaque(UInt32, self.spp)
+    def pixels(self, sampler: Any) -> tuple[Point2f, Point2f]:
+        """The corners of pixels on the crop window, and places in each, spread evenly over [0, 1)^2: see `spread`."""
+        lane = dr.arange(UInt32, sampler.wavefront_size())
+        pixel = lane // dr.opaque(UInt32, self.spp)
+        number = lane - pixel * self.spp
         row = pixel // dr.opaque(UInt32, self.window[0])
-        return Point2f(Float(pixel - row * self.window[0]), Float(row))
+        x = (Float(number) + sampler.next_1d()) / self.spp
+        y = Float(dr.brev(number)) * 2.0**-32 + dr.gather(Float, sampler.next_1d(), lane - number)
+        place = Point2f(dr.minimum(x, BELOW_ONE), dr.minimum(y - dr.floor(y), BELOW_ONE))
+        return Point2f(Float(pixel - row * self.window[0]), Float(row)), place
 
     def lens(self, sampler: Any) -> Any:
         """The camera, of one with a lens what is seen through a random point of it in each lane."""
@@ -133,8 +138,8 @@ def within(samples: Samples) -> TensorXf:
     sampler = samples.sampler(WITHIN_SEED, samples.spp)
     window = Point2f(samples.window)
     with dr.suspend_grad():
-        corner = samples.corners(sampler.wavefront_size())
-        place = (corner + sampler.next_2d()) / window
+        corner, place = samples.pixels(sampler)
+        place = (corner + place) / window
     camera = samples.lens(sampler)
     total = dr.zeros(TensorXf)
     for vertex in samples.first_vertices(camera, sampler, place):
@@ -151,12 +156,20 @@ def at_borders(samples: Samples) -> TensorXf:
     lanes = sampler.wavefront_size()
     window = Point2f(samples.window)
     with dr.suspend_grad():
-        size, corner = (Point2f(1), samples.corners(lanes)) if samples.by_pixel else (window, Point2f(0))
-        # Left and right, upper and lower sides, in proportion to their lengths.
-        perimeter, chance, along = 2 * (size.x + size.y), sampler.next_1d(), sampler.next_1d()
-        chance *= perimeter
-        upright = chance < 2 * size.y
-        right_or_below = dr.select(upright, chance >= size.y, chance >= 2 * size.y + size.x)
+        # Left and right, upper and lower sides, one after the other.
+        if samples.by_pixel:
+            size = Point2f(1)
+            corner, (around, _) = samples.pixels(sampler)
+        else:
+            size, corner = window, Point2f(0)
+            around, _ = spread(sampler)
+        perimeter = 2 * (size.x + size.y)
+        around *= perimeter
+        upright = around < 2 * size.y
+        length = dr.select(upright, size.y, size.x)
+        around -= dr.select(upright, 0, 2 * size.y)
+        right_or_below = around >= length
+        along = dr.minimum((around - dr.select(right_or_below, length, 0)) / length, BELOW_ONE)
         end, side = dr.select(right_or_below, Float(1), 0), dr.select(right_or_below, Float(1), -1)
         place = corner + size * dr.select(upright, Point2f(end, along), Point2f(along, end))
         outward = dr.select(upright, Point2f(side, 0), Point2f(0, side))

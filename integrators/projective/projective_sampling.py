@@ -211,15 +211,16 @@ class PSIntegrator(RBIntegrator):
         with attached(self, scene, dr.ADMode.Forward, camera) as scene:
             total = dr.zeros(TensorXf, self._shape(camera))
             within, _, _ = self.counts(camera, spp)
-            view = camera_apart(self, scene, camera, spp, forward=True)
-            if view is not None:
+            apart = camera_apart(self, scene, camera, spp, forward=True)
+            if apart is not None:
                 bare = attached_view(scene, {})
-                for image in view.parts_of_image(self, bare, seed, within):
+                for image in apart.parts_of_image(self, bare, seed, within):
                     dr.forward_to(image, flags=dr.ADFlag.ClearInterior)
                     total += dr.grad(image)
                     dr.eval(total)
-                total += self.in_light_of_emitters().render_forward(bare, params, view.camera, seed, spp)
-                camera = view.rest
+                if apart.moving is not None:
+                    total += self._in_light_of_emitters().render_forward(bare, params, apart.moving, seed, spp)
+                camera = apart.rest
                 if nothing_else(scene, camera):
                     return total
             if self.radiative_backprop and within:
@@ -237,14 +238,15 @@ class PSIntegrator(RBIntegrator):
         camera = find_sensor(scene, sensor)
         with attached(self, scene, dr.ADMode.Backward, camera) as scene:
             within, _, _ = self.counts(camera, spp)
-            view = camera_apart(self, scene, camera, spp, forward=False)
-            if view is not None:
+            apart = camera_apart(self, scene, camera, spp, forward=False)
+            if apart is not None:
                 bare = attached_view(scene, {})
-                for image in view.parts_of_image(self, bare, seed, within):
+                for image in apart.parts_of_image(self, bare, seed, within):
                     propagate(image, grad_in)
                     dr.eval()
-                self.in_light_of_emitters().render_backward(bare, params, grad_in, view.camera, seed, spp)
-                camera = view.rest
+                if apart.moving is not None:
+                    self._in_light_of_emitters().render_backward(bare, params, grad_in, apart.moving, seed, spp)
+                camera = apart.rest
                 if nothing_else(scene, camera):
                     return
             if self.radiative_backprop and within:
@@ -262,7 +264,7 @@ class PSIntegrator(RBIntegrator):
             return None
         return self.render_ad(scene, sensor, seed, spp, dr.ADMode.Backward)
 
-    def in_light_of_emitters(self) -> PSIntegrator:
+    def _in_light_of_emitters(self) -> PSIntegrator:
         """The integrator with no other light."""
         view = copy.copy(self)
         view.max_depth, view.proj_detail = 2, ProjectiveDetail(view)

@@ -8,9 +8,10 @@ import drjit as dr
 
 from djpt.jit.types import Float, Point2f, UInt32
 
-__all__ = ["lens_points", "spread"]
+__all__ = ["BELOW_ONE", "lens_points", "spread"]
 
 BELOW_ONE = 1 - 2**-24
+"""The largest number below 1."""
 
 MOST_LENS_POINTS = 16
 """Outlines are seen through so many points of a lens, at most: of each they are looked for anew."""

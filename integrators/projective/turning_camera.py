@@ -40,7 +40,7 @@ class StillRay:
 
 
 class StillRays(Samples):
-    """Such rays, with the light of paths of three edges and more; the integrator is a projective one."""
+    """Such rays; the integrator is a projective one."""
 
     @staticmethod
     def terms() -> Sequence[Callable[[Samples], TensorXf]]:
@@ -49,9 +49,6 @@ class StillRays(Samples):
     def first_vertices(self, camera: Any, sampler: Any, place: Point2f) -> Sequence[StillRay]:
         with dr.suspend_grad():
             ray = dr.detach(camera.ray_through(place, Point2f(0)))
-            direct = self.integrator.in_light_of_emitters()
-            # The same random numbers: what both have in common vanishes.
-            less = direct.shade(self.scene, sampler.clone(), ray, 0, None, True)
-            found = StillRay(ray.d, self.integrator.shade(self.scene, sampler, ray, 0, None, True) - less)
+            found = StillRay(ray.d, self.integrator.shade(self.scene, sampler, ray, 0, None, True))
             dr.eval(found)
             return [found]
