@@ -13,13 +13,13 @@ from typing import Any
 from djpt.description.properties import Properties
 from djpt.integrators.ad_integrator import UNBOUNDED
 from djpt.integrators.projective.moving_camera import parts_of_image
-from djpt.integrators.projective.turning_camera import StillRays
+from djpt.integrators.projective.turning_camera import StillRays, turned_apart
 from djpt.integrators.volpath import VolumetricPath
 from djpt.jit.frozen import recording
 from djpt.jit.types import TensorXf
 from djpt.rendering.gradients.unproven import Rendering, moves
-from djpt.rendering.gradients.unproven_cameras import CAMERA_CASES, other_cameras
-from djpt.sensors.moving import has_motion, shifting, still, turning
+from djpt.rendering.gradients.unproven_cameras import CAMERA_CASES
+from djpt.sensors.moving import still
 
 __all__ = ["CameraApart", "camera_apart"]
 
@@ -68,12 +68,8 @@ def camera_apart(integrator: Any, scene: Any, camera: Any, spp: int, forward: bo
         return None
     if not camera.attached_names() or moves(scene, None) or integrator.aov_names():
         return None
-    rendering = Rendering.of(scene, integrator, camera)
-    turned = moved = None
-    pinholes = all(member.is_central and not member.uses_aperture for member in camera.members())
-    if pinholes and not any(True for _ in other_cameras(rendering)) and has_motion(turning(camera), forward):
-        turned, rest = turning(camera), shifting(camera)
-        camera = rest if has_motion(rest, forward) else still(camera)
+    rendering, moved = Rendering.of(scene, integrator, camera), None
+    turned, camera = turned_apart(scene, camera, forward)
     if camera.attached_names() and not any(True for case in CAMERA_CASES for _ in case.found(rendering)):
         moved, camera = camera, still(camera)
     return None if turned is None and moved is None else CameraApart(turned, moved, camera)

@@ -9,12 +9,12 @@ import drjit as dr
 from djpt.core.records import Interaction3f
 from djpt.description.registry import name_of
 from djpt.errors import RenderError
-from djpt.jit.types import Float, Point2f, Point3f
+from djpt.jit.types import Float, Point2f, Point3f, Vector3f
 from djpt.sensors.mapped import MappedCamera
 from djpt.sensors.orthographic import Orthographic
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
-__all__ = ["FAR", "film_vectors", "place_on_film", "swept_area", "viewpoint_of"]
+__all__ = ["FAR", "film_vectors", "place_on_film", "swept_area", "viewpoint_of", "way_ahead"]
 
 FAR = 1e4
 """The distance from which outlines are seen by parallel rays, in radii of the scene."""
@@ -37,6 +37,15 @@ def viewpoint_of(scene: Any, sensor: Any) -> Point3f:
         )
     center, radius = scene.bounding_sphere()
     return Point3f(*(float(c) for c in center)) - sensor.direction * (FAR * float(radius))
+
+
+def way_ahead(sensor: Any, d: Vector3f) -> Vector3f:
+    """The way from the centre of a camera to points in directions `d` that it sees, detached.
+
+    They are half-way between the near and the far plane on a logarithmic scale: closer points would be rounded.
+    """
+    depth = dr.sqrt(sensor.near * (sensor.near + sensor.depth))
+    return Vector3f(dr.detach(d * (depth / dr.dot(d, sensor.axis))))
 
 
 def place_on_film(sensor: Any, p: Point3f) -> Point2f:

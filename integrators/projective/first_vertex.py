@@ -24,6 +24,7 @@ from djpt.core.records import (
 from djpt.core.records.flags import PhaseFunctionContext
 from djpt.core.records.interactions import GRAZING, MediumInteraction3f
 from djpt.integrators.base import trace_path
+from djpt.integrators.projective.film_geometry import way_ahead
 from djpt.integrators.projective.reattach import relative
 from djpt.integrators.volpath import VolumetricPath, VolumetricPathState, vertex_of
 from djpt.jit.kernels import loop_traced_once, wide
@@ -38,9 +39,6 @@ __all__ = ["FirstVertex"]
 
 RARE = 1e-30
 """The density of a direction whose light is left to light sampling."""
-
-NEAR = 2.0
-"""The distance at which an environment's place on the film is asked for, in those of the near plane."""
 
 
 @dataclass
@@ -276,8 +274,7 @@ class FirstVertex:
         """The places of vertices; those of an environment go with the camera, attached, and keep their direction."""
         if not sensor.is_central:
             return self.p
-        forward = dr.detach(self.d * (NEAR * sensor.near / dr.dot(self.d, sensor.axis)))
-        return dr.select(self.far, sensor.origin + forward, self.p)
+        return dr.select(self.far, sensor.origin + way_ahead(sensor, self.d), self.p)
 
     def _scattered_towards(self, scene: Scene, ds: DirectionSample3f) -> Color3f:
         """The radiance of the vertex towards the camera."""

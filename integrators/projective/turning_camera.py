@@ -12,14 +12,13 @@ from typing import Any
 
 import drjit as dr
 
+from djpt.integrators.projective.film_geometry import way_ahead
 from djpt.integrators.projective.moving_camera import Samples, at_borders, within
 from djpt.integrators.projective.reattach import relative
 from djpt.jit.types import Color3f, Float, Point2f, Point3f, TensorXf, Vector3f
+from djpt.sensors.moving import has_motion, shifting, still, turning
 
-__all__ = ["StillRay", "StillRays"]
-
-AHEAD = 2.0
-"""The distance at which a direction's place on the film is asked for, in those of the near plane."""
+__all__ = ["StillRay", "StillRays", "turned_apart"]
 
 
 @dataclass
@@ -31,7 +30,7 @@ class StillRay:
 
     def place(self, camera: Any) -> Point3f:
         """Points on the rays."""
-        return Point3f(dr.detach(dr.fma(self.d, AHEAD * camera.near / dr.dot(self.d, camera.axis), camera.origin)))
+        return Point3f(dr.detach(camera.origin) + way_ahead(camera, self.d))
 
     def attached(self, scene: Any, camera: Any, chance: Float) -> tuple[Color3f, Point2f]:
         """The radiance by the density of rays, and their place on the crop window, [0, 1)^2, attached to the camera."""
@@ -52,3 +51,23 @@ class StillRays(Samples):
             found = StillRay(ray.d, self.integrator.shade(self.scene, sampler, ray, 0, None, True))
             dr.eval(found)
             return [found]
+
+
+def turned_apart(scene: Any, camera: Any, forward: bool) -> tuple[Any, Any]:
+    """A view of a camera, or of a batch, that turns or zooms about its centre, or None; and one that moves by all else.
+
+    Args:
+        scene: the scene.
+        camera: the camera.
+        forward: whether gradients are propagated forward, so that those of 0 count as none.
+    """
+    if scene.in_time or not all(map(is_pinhole, camera.members())) or not has_motion(turning(camera), forward):
+        return None, camera
+    rest = shifting(camera)
+    return turning(camera), rest if has_motion(rest, forward) else still(camera)
+
+
+def is_pinhole(camera: Any) -> bool:
+    """Whether all rays go through a centre that stays in time, and their density is attached to what places them."""
+    pinhole: bool = camera.is_central and camera.density_moves and not (camera.uses_aperture or camera.moves)
+    return pinhole and not camera.film().sample_border()
