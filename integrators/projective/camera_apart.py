@@ -1,4 +1,4 @@
-"""Cameras that move alone, in indirect light: rules by which more of a path stays than by that of `reattach`.
+"""Cameras that move in indirect light: rules by which more of a path stays than by that of `reattach`.
 
 By that rule hits slide over surfaces as the camera moves, while what they see stays: where two surfaces touch, the
 variance has no bound. In the light of emitters alone hits that slide have less noise.
@@ -55,7 +55,8 @@ class CameraApart:
 def camera_apart(integrator: Any, scene: Any, camera: Any, spp: int, forward: bool) -> CameraApart | None:
     """The parts of a camera's motion that such rules follow; None if there are none, or no indirect light.
 
-    Rays stay before any scene as a pinhole camera turns. Vertices stay if no surface shows things that move otherwise.
+    Rays stay before any scene as a pinhole camera turns. Vertices stay if nothing else moves, and no surface shows
+    things that move otherwise.
 
     Args:
         integrator: a `djpt.integrators.projective.projective_sampling.PSIntegrator`.
@@ -66,10 +67,11 @@ def camera_apart(integrator: Any, scene: Any, camera: Any, spp: int, forward: bo
     """
     if integrator.direct_light_only or integrator.max_depth <= 2 or recording() or 0 in integrator.counts(camera, spp):
         return None
-    if not camera.attached_names() or moves(scene, None) or integrator.aov_names():
+    if not camera.attached_names() or integrator.aov_names():
         return None
     rendering, moved = Rendering.of(scene, integrator, camera), None
     turned, camera = turned_apart(scene, camera, forward)
-    if camera.attached_names() and not any(True for case in CAMERA_CASES for _ in case.found(rendering)):
+    alone = camera.attached_names() and not moves(scene, None)
+    if alone and not any(True for case in CAMERA_CASES for _ in case.found(rendering)):
         moved, camera = camera, still(camera)
     return None if turned is None and moved is None else CameraApart(turned, moved, camera)

@@ -37,6 +37,7 @@ from djpt.jit.frozen import recording
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, TensorXf, UInt32, Vector3f
 from djpt.rendering.gradients.meetings import meeting_pairs
 from djpt.rendering.gradients.own_rendering import attached_view
+from djpt.rendering.gradients.unproven import moves
 from djpt.samplers.base import Sampler
 from djpt.scene.scene import Scene, find_sensor
 from djpt.sensors.base import Sensor
@@ -505,8 +506,8 @@ class PSIntegrator(RBIntegrator):
 
 
 def nothing_else(scene: Scene, camera: Sensor) -> bool:
-    """Whether a camera stays, and a view reads no values with gradients; shapes that move aren't asked."""
-    if camera.attached_names() or not isinstance(scene.lookup, Attached):
+    """Whether nothing moves, this view of the camera included, and the scene reads no values with gradients."""
+    if moves(scene, camera) or not isinstance(scene.lookup, Attached):
         return False
     return not any(scene.lookup.attaches(leaf) for ensemble in scene.ensembles() for leaf in ensemble.leaves())
 

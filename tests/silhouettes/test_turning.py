@@ -74,17 +74,18 @@ def test_what_is_left_of_a_motion_turns_no_ray() -> None:
 INDIRECT = {"type": "prb_projective", "max_depth": 3}
 
 
-def moved(theta: Float, by_turn: float, by_step: float) -> Any:
-    """The scene, its camera turned and moved aside."""
+def moved(theta: Float, by_turn: float, by_step: float, ball: float = 0) -> Any:
+    """The scene, its camera turned and moved aside, and its ball moved."""
     own = djpt.Transform4f().rotate([0.6, 0.8, 0], 20 * by_turn * theta)
-    step = djpt.Transform4f().translate([by_step * theta, 0, 0])
-    return scene({"sensor.to_world": lambda place: step @ djpt.Transform4f(place) @ own})
+    step, along = (djpt.Transform4f().translate([by * theta, 0, 0]) for by in (by_step, ball))
+    edits: dict[str, Any] = {"sensor.to_world": lambda place: step @ djpt.Transform4f(place) @ own} if ball < 1 else {}
+    return scene(edits | ({"ball.to_world": lambda place: along @ djpt.Transform4f(place)} if ball else {}))
 
 
-def derivative(by_turn: float, by_step: float) -> Any:
+def derivative(by_turn: float, by_step: float, ball: float = 0) -> Any:
     """The derivative of the image in indirect light."""
     theta = number()
-    found = moved(theta, by_turn, by_step)
+    found = moved(theta, by_turn, by_step, ball)
     dr.forward(theta, dr.ADFlag.ClearEdges)
     return np.array(djpt.load_dict(INDIRECT).render_forward(found, None, spp=16, seed=3))
 
@@ -93,6 +94,11 @@ def test_a_motion_is_the_sum_of_its_parts() -> None:
     one, other, both = derivative(1, 0), derivative(0, 1), derivative(1, 1)
     assert min(np.abs(one).max(), np.abs(other).max()) > 0.1
     np.testing.assert_allclose(one + other, both, atol=2e-3 * np.abs(both).max())
+
+
+def test_a_camera_turns_as_by_itself_if_something_else_moves() -> None:
+    turn, ball, both = derivative(1, 0), derivative(0, 0, 1), derivative(1, 0, 0.5)
+    np.testing.assert_allclose(turn + 0.5 * ball, both, atol=2e-3 * np.abs(both).max())
 
 
 def test_reverse_mode_reaches_the_number_that_a_script_computes_a_camera_from() -> None:
