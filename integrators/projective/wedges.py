@@ -22,8 +22,10 @@ __all__ = ["BesideEdge", "above_horizon", "clear_of_wedges", "close_together"]
 
 LEAST_SINE = 0.02
 """That of the narrowest wedge of which points are cleared."""
-CLOSE = 2
-"""How many heights of rays apart surfaces may be that form a wedge."""
+CLOSE = 8
+"""How many heights of rays off each other's planes points may be of surfaces that form a wedge.
+
+Points at the creases of meshes have been moved off them by a few already."""
 
 
 class BesideEdge(NamedTuple):
