@@ -59,9 +59,8 @@ def attached_view(camera: Any) -> Any:
     view.is_attached = True
     with dr.resume_grad():
         for name, value in camera.moved_rays(values).items():
-            if name in camera.fixed:
-                continue
-            setattr(view, name, with_gradient(getattr(camera, name), value))
+            if name not in camera.fixed:
+                setattr(view, name, with_gradient(getattr(camera, name), value))
     return view
 
 

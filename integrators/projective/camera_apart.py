@@ -69,9 +69,9 @@ def camera_apart(integrator: Any, scene: Any, camera: Any, spp: int, forward: bo
         return None
     if not camera.attached_names() or integrator.aov_names():
         return None
-    rendering, moved = Rendering.of(scene, integrator, camera), None
     turned, camera = turned_apart(scene, camera, forward)
-    alone = camera.attached_names() and not moves(scene, None)
-    if alone and not any(True for case in CAMERA_CASES for _ in case.found(rendering)):
-        moved, camera = camera, still(camera)
-    return None if turned is None and moved is None else CameraApart(turned, moved, camera)
+    if camera.attached_names() and not moves(scene, None):
+        rendering = Rendering.of(scene, integrator, camera)
+        if not any(True for case in CAMERA_CASES for _ in case.found(rendering)):
+            return CameraApart(turned, camera, still(camera))
+    return None if turned is None else CameraApart(turned, None, camera)

@@ -61,10 +61,12 @@ def turned_apart(scene: Any, camera: Any, forward: bool) -> tuple[Any, Any]:
         camera: the camera.
         forward: whether gradients are propagated forward, so that those of 0 count as none.
     """
-    if scene.in_time or not all(map(is_pinhole, camera.members())) or not has_motion(turning(camera), forward):
+    if scene.in_time or not all(map(is_pinhole, camera.members())):
         return None, camera
-    rest = shifting(camera)
-    return turning(camera), rest if has_motion(rest, forward) else still(camera)
+    turned, rest = turning(camera), shifting(camera)
+    if not has_motion(turned, forward):
+        return None, camera
+    return turned, rest if has_motion(rest, forward) else still(camera)
 
 
 def is_pinhole(camera: Any) -> bool:

@@ -25,7 +25,8 @@ LEAST_SINE = 0.02
 CLOSE = 8
 """How many heights of rays off each other's planes points may be of surfaces that form a wedge.
 
-Points at the creases of meshes have been moved off them by a few already."""
+Points at the creases of meshes have been moved off them by a few already.
+"""
 
 
 class BesideEdge(NamedTuple):
