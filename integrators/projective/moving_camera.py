@@ -19,7 +19,7 @@ from djpt.integrators.paths.transmittance import way_through
 from djpt.integrators.projective.film_geometry import place_on_film, swept_area, viewpoint_of
 from djpt.integrators.projective.first_vertex import FirstVertex
 from djpt.integrators.projective.outlines import Outlines
-from djpt.integrators.projective.spread import BELOW_ONE, lens_points, spread
+from djpt.integrators.projective.spread import BELOW_ONE, hammersley, lens_points, spread
 from djpt.jit.types import Bool, Color3f, Float, Point2f, TensorXf, UInt32
 from djpt.shapes.silhouettes.foreground import foreground
 from djpt.shapes.silhouettes.seams import turns_dark
@@ -101,9 +101,7 @@ class Samples:
         pixel = lane // dr.opaque(UInt32, self.spp)
         number = lane - pixel * self.spp
         row = pixel // dr.opaque(UInt32, self.window[0])
-        x = (Float(number) + sampler.next_1d()) / self.spp
-        y = Float(dr.brev(number)) * 2.0**-32 + dr.gather(Float, sampler.next_1d(), lane - number)
-        place = Point2f(dr.minimum(x, BELOW_ONE), dr.minimum(y - dr.floor(y), BELOW_ONE))
+        place = hammersley(sampler, number, self.spp, lane - number)
         return Point2f(Float(pixel - row * self.window[0]), Float(row)), place
 
     def lens(self, sampler: Any) -> Any:

@@ -8,7 +8,7 @@ import drjit as dr
 
 from djpt.jit.types import Float, Point2f, UInt32
 
-__all__ = ["BELOW_ONE", "lens_points", "spread"]
+__all__ = ["BELOW_ONE", "hammersley", "lens_points", "spread"]
 
 BELOW_ONE = 1 - 2**-24
 """The largest number below 1."""
@@ -24,9 +24,16 @@ def spread(sampler: Any) -> Point2f:
     lanes. The first one grows with the lane: what it chooses from, neighbours choose close to each other.
     """
     lanes = sampler.wavefront_size()
-    lane = dr.arange(UInt32, lanes)
-    x = (Float(lane) + sampler.next_1d()) / lanes
-    y = Float(dr.brev(lane)) * 2.0**-32 + dr.gather(Float, sampler.next_1d(), UInt32(0))
+    return hammersley(sampler, dr.arange(UInt32, lanes), lanes, UInt32(0))
+
+
+def hammersley(sampler: Any, number: UInt32, count: int, shared: UInt32) -> Point2f:
+    """Random points of the unit square, by their numbers in sets of `count` that are spread evenly.
+
+    The first coordinate is jittered, the second one shifted by what is drawn for the lanes `shared`, one for each set.
+    """
+    x = (Float(number) + sampler.next_1d()) / count
+    y = Float(dr.brev(number)) * 2.0**-32 + dr.gather(Float, sampler.next_1d(), shared)
     return Point2f(dr.minimum(x, BELOW_ONE), y - dr.floor(y))
 
 
