@@ -184,3 +184,22 @@ def test_a_users_own_phase_function() -> None:
     np.testing.assert_allclose(in_numpy(weight.x), [0, 0.75])
     assert sheets[0].component_count() == 1 and sheets[0].flags() == djpt.PhaseFunctionFlags.Anisotropic
     assert list(djpt.traverse(sheets[0]).keys()) == ["share"]
+
+
+def test_what_is_asked_together_has_the_derivatives_of_what_is_asked_alone() -> None:
+    """`eval_pdf_sample`, whose dispatch is by branches, of directions that turn."""
+    found = []
+    for together in (False, True):
+        _, pointers = all_of_them()
+        angle = Float(0)
+        dr.enable_grad(angle)
+        mei = interaction(djpt, directions(LANES, 1))
+        wo = djpt.Transform4f().rotate([0.6, 0, 0.8], angle) @ Vector3f(directions(LANES, 2))
+        if together:
+            value = pointers.eval_pdf_sample(CTX, mei, wo, Float(0.5), Point2f(0.5, 0.4))[0]
+        else:
+            value = pointers.eval_pdf(CTX, mei, wo)[0]
+        dr.forward(angle)
+        found.append(in_numpy(dr.grad(value)))
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-4, atol=1e-7)
+    assert np.abs(found[0]).max() > 1e-3

@@ -308,3 +308,28 @@ def test_sampled_weights_are_attached() -> None:
     dr.backward(weight.y)
     gradient = dr.grad(params["floor_1.bsdf.reflectance.value"])
     np.testing.assert_allclose(np.array(gradient).ravel(), [0, 1, 0], atol=1e-6)
+
+
+def test_what_is_asked_together_has_the_derivatives_of_what_is_asked_alone() -> None:
+    """`eval_pdf_sample`, whose dispatch is by branches, of surface points that move, on materials of many kinds."""
+    kinds = ("diffuse", "roughconductor", "roughplastic", "dielectric", "principled")
+    balls = {
+        kind: {"type": "sphere", "center": [3 * number, 0, 0], "bsdf": {"type": kind}}
+        for number, kind in enumerate(kinds)
+    }
+    place = djpt.load_dict({"type": "scene", **balls})
+    ctx, found = djpt.BSDFContext(), []
+    for together in (False, True):
+        step = djpt.Float(0)
+        dr.enable_grad(step)
+        x = 3 * dr.arange(djpt.Float, len(kinds)) + 0.3 + step
+        si = place.ray_intersect(djpt.Ray3f(djpt.Point3f(x, 0.2, 5), djpt.Vector3f(0, 0, -1)))
+        wo, bsdf = si.to_local(dr.normalize(djpt.Vector3f(0.3, 0.2, 1))), si.bsdf()
+        if together:
+            value = bsdf.eval_pdf_sample(ctx, si, wo, djpt.Float(0.5), djpt.Point2f(0.5, 0.4))[0]
+        else:
+            value = bsdf.eval(ctx, si, wo)
+        dr.forward(step)
+        found.append(numbers(dr.grad(value)))
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-5)
+    assert np.count_nonzero(found[0]) == 3 * (len(kinds) - 1)
