@@ -97,6 +97,9 @@ class Integrator(Plugin):
     follows_silhouettes: ClassVar[bool] = False
     """True if derivatives by the place of shapes know what appears and disappears at their outlines."""
 
+    follows_shapes: ClassVar[bool] = False
+    """True if djpt's schedules let its paths move with shapes: see `djpt.rendering.gradients.moving_light_paths`."""
+
     follows_camera: ClassVar[bool] = False
     """True if derivatives by the place of a camera are known, also through media: see
     `djpt.rendering.gradients.camera_in_media`."""

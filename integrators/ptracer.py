@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import drjit as dr
 
-from djpt.core.records import BSDFSample3f, Ray3f, SurfaceInteraction3f
+from djpt.core.records import BSDFFlags, BSDFSample3f, Ray3f, SurfaceInteraction3f, has_flag
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
 from djpt.errors import RenderError
@@ -75,6 +75,7 @@ class ParticleTracer(Terminating, PassIntegrator):
 
     starts_at_lights = True
     differentiable = True
+    follows_shapes = True
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
@@ -139,12 +140,15 @@ class ParticleTracer(Terminating, PassIntegrator):
 
         def method(bsdf: BSDF) -> tuple[Color3f, BSDFSample3f, Color3f]:
             value, _, _ = eval_pdf_light(bsdf, si, to_camera, proceed)
-            bs, weight = sample_light(bsdf, si, sample1, sample2, proceed)
-            bs = dr.detach(bs)
+            sampled, weight = sample_light(bsdf, si, sample1, sample2, proceed)
+            bs = dr.detach(sampled)
             there, _, _ = eval_pdf_light(bsdf, si, bs.wo, proceed)
+            if dr.grad_enabled(sampled.wo):  # a smooth surface sends light on by where it comes from
+                bs.wo = dr.select(has_flag(bs.sampled_type, BSDFFlags.Delta), sampled.wo, bs.wo)
             return value, bs, at_fixed_direction(bs, weight, there)
 
-        value, bs, weight = si.bsdf().visit(method, proceed)
+        bsdf = si.bsdf()
+        value, bs, weight = bsdf.visit(method, bsdf.branching(si, proceed))
         splat = path.flux * value * importance
         if self.hide_emitters:
             splat = dr.select(si.emitter().is_valid(), 0, splat)

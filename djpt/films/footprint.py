@@ -62,6 +62,17 @@ class Footprint:
                 state = visit(pixel, color * (wx * wy), inside, *state)
         return state
 
+    def shares(self, position: Point2f, color: Color3f, active: Bool) -> list[tuple[UInt32, Color3f, Bool]]:
+        """The pixels about a position, their parts of a colour, and where they receive them; not by wide filters."""
+        found: list[tuple[UInt32, Color3f, Bool]] = []
+
+        def keep(pixel: UInt32, share: Color3f, inside: Bool) -> tuple[()]:
+            found.append((pixel, share, active & inside))
+            return ()
+
+        self.spread(position, color, UInt32(0), (), keep)
+        return found
+
     def _weights(self, place: Float) -> list[Float]:
         """The filter's weights at the pixels about a column or row, the farthest before it first."""
         weight, reach = self._film.rfilter().eval, self._film.taps // 2
@@ -167,13 +178,14 @@ class Splats(Footprint):
         """
 
         def add(pixel: UInt32, part: Color3f, inside: Bool) -> tuple[()]:
-            self._add(pixel, part, active & inside)
+            self.put(pixel, part, active & inside)
             return ()
 
         first = UInt32(0) if self._layers == 1 else layer * self._pixels
         self.spread(position, color * self._scale, first, (), add)
 
-    def _add(self, pixel: UInt32, color: Color3f, active: Bool) -> None:
+    def put(self, pixel: UInt32, color: Color3f, active: Bool) -> None:
+        """Add a colour, in units of the sums, to those of a pixel."""
         whole = [Int64(dr.round(c)) for c in color]
         dr.scatter_add(self.memory, Array4i64(*whole, Int64(0)), pixel, active)
 
@@ -199,6 +211,6 @@ class ChangeSplats(Splats):
         self.memory = dr.zeros(Float64, 4 * self._count)
         dr.eval(self.memory)
 
-    def _add(self, pixel: UInt32, color: Color3f, active: Bool) -> None:
+    def put(self, pixel: UInt32, color: Color3f, active: Bool) -> None:
         for c, change in enumerate(color):
             dr.scatter_add(self.memory, Float64(change), 4 * pixel + c, active)

@@ -40,9 +40,10 @@ __all__ = [
 def film_image(scene: Scene, settings: RenderSettings) -> TensorXf:
     """The image of an integrator that djpt runs by a schedule; the film keeps it, too."""
     require_still(scene, settings.sensor, settings.integrator)
+    scene = with_copies(scene) if placing(scene.shapes()) else scene
     job, names = make_job(scene, settings), channel_names(scene, settings.sensor, settings.integrator)
     how = choose(settings.schedule, job)
-    parameters = attached_parameters(job.scene)
+    parameters = [*attached_parameters(job.scene), *placing(job.scene.shapes())]
     motion = placing(settings.sensor.members())
     check_memory(job, attached=bool(parameters or motion))
     if not job.channel_names():
@@ -75,10 +76,12 @@ def image_derivative(scene: Scene, settings: RenderSettings, grad: TensorXf | No
 
     begin_trace()
     require_still(scene, settings.sensor, settings.integrator)
+    scene = with_copies(scene) if placing(scene.shapes()) else scene
     job = make_job(scene, settings)
     width, height = job.film.crop_size()
     shape = (height, width, job.channel_count())
-    parameters, motion = attached_parameters(job.scene), placing(settings.sensor.members())
+    parameters = [*attached_parameters(job.scene), *placing(job.scene.shapes())]
+    motion = placing(settings.sensor.members())
     check_memory(job, attached=True)
     if not parameters and not motion:
         return dr.zeros(TensorXf, shape)
@@ -159,7 +162,7 @@ def make_job(scene: Scene, settings: RenderSettings) -> Job:
             "djpt.render, or an integrator that starts at the camera, such as 'path'"
         )
     integrator.resume()
-    if integrator.fits_any_frame():
+    if integrator.fits_any_frame() and not placing(scene.shapes()):
         scene, sensor = normalized(scene, sensor)
     scene = scene.replace(
         emitter_choice=integrator.emitter_choice,
@@ -211,7 +214,7 @@ def require_still(scene: Scene, sensor: Any = 0, integrator: Integrator | None =
             f"'{camera.id()}' moves with gradients with respect to '{name}': render with the integrator {able}"
         )
     moving = next((shape for shape in scene.shapes() if shape.is_moving()), None)
-    if moving is not None:
+    if moving is not None and not (integrator is not None and integrator.follows_shapes):
         able = "'volprim_rf_basic'" if moving.is_ellipsoids() else able
         raise RenderError(
             f"'{moving.id()}' moves with parameters that have gradients: render with the integrator {able}"

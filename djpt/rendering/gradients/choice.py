@@ -90,6 +90,11 @@ def derivative_of(samples: Job, schedule: Schedule, parameters: list[Parameter])
         return nested_derivative(samples, parameters)
     if integrator.starts_at_lights:
         # Few images need what follows light or wavefronts.
+        moving = [p.owner for p in parameters if p.owner.kind == "shape"]
+        if moving:
+            from djpt.rendering.gradients.moving_light_paths import MovingLightDerivative
+
+            return MovingLightDerivative(samples, parameters, moving)
         from djpt.rendering.gradients.splatted import light_derivative
 
         return light_derivative(samples, parameters)

@@ -15,7 +15,7 @@ from djpt.integrators.ptracer import ParticleTracer
 from djpt.jit.kernels import opaque
 from djpt.jit.types import Color3f, Float, TensorXf, UInt32
 from djpt.rendering.gradients.bidirectional import BothEnds
-from djpt.rendering.gradients.derivatives import Derivative, ReplayDerivative, add, on_grid, over_weights
+from djpt.rendering.gradients.derivatives import Derivative, NoDerivative, ReplayDerivative, add, on_grid, over_weights
 from djpt.rendering.gradients.gradient_sums import Forward, Measure, Reverse
 from djpt.rendering.gradients.leaves import Parameter
 from djpt.rendering.gradients.light_replay import nothing, walk_light_paths
@@ -28,7 +28,14 @@ from djpt.rendering.schedules.reconstruction import image_of_rows, picture, samp
 from djpt.rendering.schedules.wave import Wave
 from djpt.scene.scene import Scene
 
-__all__ = ["BothEndsDerivative", "TracedLightDerivative", "light_derivative"]
+__all__ = [
+    "BothEndsDerivative",
+    "TracedLightDerivative",
+    "adjoints_of_light",
+    "light_derivative",
+    "light_image",
+    "straight_light",
+]
 
 PASS_PATHS = 2**20
 """Light paths of a pass. Each pass has sums of its own, so that they don't outgrow what they are increased by."""
@@ -148,15 +155,19 @@ class BothEndsDerivative:
         return BothEnds(job.integrator, scene, job.camera, ray, inside, dr.width(pixel)), sampler
 
 
+def straight_light(job: Job, parameters: list[Parameter]) -> Derivative:
+    """The derivative of what the camera sees of lights, in an image by `ptracer`."""
+    assert isinstance(job.integrator, ParticleTracer)
+    seen = replace(job, integrator=job.integrator.from_camera, spp=job.sampler.round_count(job.spp))
+    return ReplayDerivative(seen, Wave(), parameters) if parameters else NoDerivative(seen)
+
+
 class TracedLightDerivative:
     """The derivative of an image by `ptracer`: of what light paths show, and of what the camera sees of lights."""
 
     def __init__(self, job: Job, parameters: list[Parameter]) -> None:
         self._job, self._views = job, LeafViews(job, parameters)
-        assert isinstance(job.integrator, ParticleTracer)
-        spp = job.sampler.round_count(job.spp)
-        seen = replace(job, integrator=job.integrator.from_camera, spp=spp)
-        self._straight = ReplayDerivative(seen, Wave(), parameters)
+        self._straight = straight_light(job, parameters)
 
     def backward(self, image: TensorXf) -> list[Any]:
         with dr.suspend_grad():

@@ -7,6 +7,7 @@ from typing import Any
 
 import drjit as dr
 
+from djpt.core.records import Ray3f, SurfaceInteraction3f
 from djpt.integrators.ptracer import ParticleTracer
 from djpt.jit.types import Bool, Color3f, UInt32
 from djpt.rendering.gradients.light_replay import Step, begun
@@ -36,10 +37,14 @@ class TracedLight:
         flux, zero_weight = begun(self._scene, path.flux, path.flux * path.unit)
         return replace(path, flux=flux, zero_weight=zero_weight), flux, zero_weight
 
+    def hit(self, ray: Ray3f, active: Bool) -> SurfaceInteraction3f:
+        """Where a ray arrives."""
+        scene = self._scene
+        return scene.surface_interaction(ray, scene.closest_hit(ray), scene.surface_detail)
+
     def step(self, state: Any, sampler: SampleStream, active: Bool) -> Step:
         """See `LightPaths`."""
-        scene = self._scene
-        si = scene.surface_interaction(state.ray, scene.closest_hit(state.ray), scene.surface_detail)
+        scene, si = self._scene, self.hit(state.ray, active)
         arriving = replace(state, flux=state.flux * scene.media.transmittance(state.ray, si.t))
         v = self._integrator.vertex(scene, self._job.camera, sampler, arriving, si)
         light = self._integrator.seen(scene, v)

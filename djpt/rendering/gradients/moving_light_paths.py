@@ -1,0 +1,160 @@
+"""Derivatives, by shapes that move, of images that light paths add to.
+
+A light path is a function of its random numbers x. As shapes move, its vertices y_k(x) move along: each is where the
+ray that arrives meets the surface; directions stay in the frame of the surface, and those of perfectly smooth lobes
+follow from the direction that arrives. Let s_k be the light that y_k sends to the film, P(y_k) its place there, and h_j
+the filter of pixel j. Then
+
+    I_j = E[sum over k of s_k h_j(P(y_k))],    dI_j = E[sum over k of ds_k h_j + s_k grad h_j . dP]
+
+wherever the vertices are continuous in x. Where they jump - at the outline of a body, at the edge of a shadow, where
+light begins to be reflected back into glass - the derivative has a term that is left out here, and scripts must ask for
+it to be (`unproven_gradients`). It is 0 for the facets of a lens whose light comes from all of its front.
+
+M. Nimier-David, D. Vicini, T. Zeltner and W. Jakob, "Mitsuba 2: A Retargetable Forward and Inverse Renderer", 2019,
+section 4.3, finds lenses by their caustics so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import drjit as dr
+
+from djpt.core.records import Ray3f, SurfaceInteraction3f
+from djpt.description.registry import name_of
+from djpt.errors import RenderError
+from djpt.films.footprint import ChangeSplats, in_window
+from djpt.integrators.ptracer import ParticleTracer
+from djpt.jit.kernels import opaque
+from djpt.jit.types import Bool, Color3f, Float, Point2f, TensorXf
+from djpt.rendering.gradients.derivatives import add
+from djpt.rendering.gradients.gradient_sums import changes as propagated_to
+from djpt.rendering.gradients.leaves import Parameter
+from djpt.rendering.gradients.own_rendering import attached_view
+from djpt.rendering.gradients.splatted import adjoints_of_light, light_image, straight_light
+from djpt.rendering.gradients.traced_light import TracedLight
+from djpt.rendering.schedules.job import Job
+from djpt.rendering.schedules.passes import ranges
+from djpt.rfilters.base import is_wide
+from djpt.scene.scene import Scene
+from djpt.shapes.silhouettes.moving import exchanged
+from djpt.shapes.silhouettes.normals import with_normals
+
+__all__ = ["MovingLightDerivative"]
+
+MOST_EDGES = 16
+"""The edges of the longest paths that are followed: kernels repeat what happens at a vertex as often."""
+
+PASS_PATHS = 2**19
+"""Light paths of a pass."""
+
+
+def require_followed(job: Job, shapes: list[Any]) -> None:
+    """Refuse what has no derivatives by light paths that move with `shapes`.
+
+    Raises:
+        RenderError: It says what, and what is possible.
+    """
+    what = f"'{shapes[-1].id()}' moves with parameters that have gradients, and "
+    assert isinstance(job.integrator, ParticleTracer)
+    depth = job.integrator.max_depth
+    if depth < 0 or depth > MOST_EDGES:
+        raise RenderError(f"{what}the integrator has the 'max_depth' {depth}; possible: 0 to {MOST_EDGES}")
+    film = job.film
+    if not film.filters or is_wide(film.taps):
+        raise RenderError(
+            f"{what}the film has the filter '{name_of(type(film.rfilter()))}': light that moves over it changes pixels "
+            "by the slope of the filter; possible: a 'gaussian' or a 'tent' a few pixels wide"
+        )
+    for shape in shapes:
+        if shape.emitter() is not None:
+            raise RenderError(f"{what}shines: how light paths move with their lamp isn't followed; use 'path'")
+
+
+class MovingLightPaths(TracedLight):
+    """Light paths whose vertices are attached to the shapes that they meet."""
+
+    def hit(self, ray: Ray3f, active: Bool) -> SurfaceInteraction3f:
+        found = self._scene.closest_hit(dr.detach(ray), active)
+        return self._scene.surface_interaction_of(found, ray)
+
+    def splats(self) -> Iterator[tuple[Point2f, Color3f, Bool]]:
+        """The place on the film of each vertex, the light that it sends there, and whether it counts."""
+        integrator, sampler = self._integrator, self.sampler()
+        state, active = integrator.start(self._scene, sampler), Bool(True)
+        for _ in range(1, integrator.max_depth):
+            step = self.step(state, sampler, active)
+            yield step.position, step.light, active & step.shows & in_window(step.position)
+            state, active = step.state, active & step.active
+
+
+class MovingLightDerivative:
+    """The derivative of an image by `ptracer`, by shapes that move and by all else."""
+
+    def __init__(self, job: Job, parameters: list[Parameter], moving: list[Any]) -> None:
+        """`moving`: the shapes that move, whose parameters are the last ones, one for each.
+
+        Raises:
+            RenderError: Light paths can't be followed.
+        """
+        require_followed(job, moving)
+        self._job, self._count = job, len(moving)
+        self._places = [(id(p.owner), p.attribute) for p in parameters]
+        # Later edits of the scene must not change what is differentiated.
+        self._values = [opaque(p.value) for p in parameters]
+        self._straight = straight_light(job, parameters[: -self._count])
+
+    def backward(self, image: TensorXf) -> list[Any]:
+        with dr.suspend_grad():
+            pixels = adjoints_of_light(self._job, image, False)
+
+        def of_pass(begin: int, end: int) -> list[Any]:
+            with self._attached() as (fresh, scene):
+                loss = Float(0)
+                for position, light, shows in MovingLightPaths(self._job, scene, begin, end).splats():
+                    loss += Float(dr.select(shows, dr.dot(light, pixels.at(position, shows)), 0))
+                if dr.grad_enabled(loss):
+                    dr.backward(loss)
+                return [dr.grad(leaf) for leaf in fresh]
+
+        by_light = add(of_pass(*part) for part in self._passes())
+        straight = self._straight.backward(image)
+        return [
+            *(a + b for a, b in zip(by_light[: -self._count], straight, strict=True)),
+            *by_light[-self._count :],
+        ]
+
+    def forward(self, tangents: list[Any]) -> TensorXf:
+        job, changes = self._job, ChangeSplats(self._job.film)
+        for begin, end in self._passes():
+            with self._attached(tangents) as (_, scene):
+                shares = [
+                    share
+                    for position, light, shows in MovingLightPaths(job, scene, begin, end).splats()
+                    for share in changes.shares(position, light, shows)
+                ]
+                found = propagated_to(*(share for _, share, _ in shares))
+            for (pixel, _, counts), change in zip(shares, found, strict=True):
+                changes.put(pixel, change, counts)
+            dr.eval(changes.memory)
+        with dr.suspend_grad():
+            return light_image(job, changes, False) + self._straight.forward(tangents[: -self._count])
+
+    @contextmanager
+    def _attached(self, tangents: list[Any] | None = None) -> Iterator[tuple[list[Any], Scene]]:
+        """Fresh leaves in place of the parameters, and the scene that reads them within a `with` block."""
+        with dr.resume_grad():
+            fresh = [type(value)(value) for value in self._values]
+            dr.enable_grad(fresh)
+            for leaf, tangent in zip(fresh, tangents or (), strict=bool(tangents)):
+                dr.set_grad(leaf, opaque(tangent))
+            values = dict(zip(self._places, fresh, strict=True))
+            with exchanged(with_normals(values, self._job.scene.shapes())):
+                yield fresh, attached_view(self._job.scene, values)
+
+    def _passes(self) -> Iterator[tuple[int, int]]:
+        width, height = self._job.film.crop_size()
+        return ranges(width * height * self._job.spp, PASS_PATHS)
