@@ -14,7 +14,7 @@ from djpt.images.sheets import Tile, captioned_sheet, shown
 from djpt.validation.report import difference_picture
 from places import IMAGES, LADDER, ROOT
 
-__all__ = ["albedo", "caustic", "derivatives", "lamp", "pose", "smoke"]
+__all__ = ["albedo", "caustic", "derivatives", "lamp", "lens", "pose", "smoke"]
 
 
 def albedo() -> None:
@@ -45,6 +45,13 @@ def caustic() -> None:
     """What the example of a glass ball writes."""
     with patch.object(sys, "argv", ["caustic.py", "--steps", "60", "--out", str(IMAGES / "caustic.png")]):
         runpy.run_path(str(ROOT / "examples" / "caustic.py"), run_name="__main__")
+
+
+def lens() -> None:
+    """What the example of a pane of glass writes."""
+    options = ["--size", "96", "--points", "97", "--out", str(IMAGES / "lens.png")]
+    with patch.object(sys, "argv", ["lens.py", *options]):
+        runpy.run_path(str(ROOT / "examples" / "lens.py"), run_name="__main__")
 
 
 def derivatives() -> None:

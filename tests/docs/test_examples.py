@@ -182,6 +182,20 @@ def test_light_through_glass_is_that_of_light_tracing() -> None:
 
 
 @pytest.mark.slow
+def test_a_pane_of_glass_is_shaped_for_a_picture() -> None:
+    lens = load_example("lens")
+    scene = lens.load(24, 17)
+    before = djpt.render(scene, spp=256, seed=2**20).numpy()
+    wanted = lens.picture(24)[:, :, None] * [1.0, 1.0, 1.0]
+    target = djpt.TensorXf((wanted * before.sum() / wanted.sum()).astype(np.float32))
+    lens.search(scene, target, steps=20, spp=16, levels=(5, 9, 17))
+    after = djpt.render(scene, spp=256, seed=2**20).numpy()
+    losses = [np.square(image - target.numpy()).mean() for image in (before, after)]
+    assert losses[1] < 0.25 * losses[0]
+    assert after.sum() == pytest.approx(before.sum(), rel=0.02)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["pose", "lamp", "caustic"])
 def test_the_scripts_of_places_print_errors_and_write_pictures(name: str, tmp_path: Any) -> None:
     options = ["--size", "16", "--spp", "1"] + (["--steps", "2"] if name != "pose" else [])
