@@ -69,6 +69,8 @@ def load(size: int, points: int) -> djpt.Scene:
                 "fov": 40,
                 "to_world": T().look_at([0, 0, -0.5], [0, 0, -1], [0, 1, 0]),
                 "film": film,
+                # Its points cover the lamp evenly.
+                "sampler": {"type": "sobol"},
             },
             "wall": {"type": "rectangle", "to_world": T().translate([0, 0, -DISTANCE]).scale(3)},
             "lens": pane(points),

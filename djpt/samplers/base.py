@@ -98,6 +98,9 @@ class Sampler(Plugin):
 
     kind: ClassVar[str] = "sampler"
 
+    continues: bool = False
+    """True if the samples of a pixel are points of a sequence that goes on evenly, however many there are."""
+
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         self.base_seed = props.integer("seed", 0, low=0, high=0xFFFFFFFF)

@@ -74,6 +74,8 @@ class Sobol(Sampler):
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         self.blue_noise = props.boolean("blue_noise", False)
+        # Its pixels have pieces of a sequence.
+        self.continues = not self.blue_noise
 
     def stream(self, seed: UInt32, index: SampleIndex) -> SobolStream:
         if not self.blue_noise:

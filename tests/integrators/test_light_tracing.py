@@ -242,3 +242,32 @@ def test_what_is_refused() -> None:
         scene["sensor"] = sensor
         with pytest.raises(RenderError, match=r"can't trace light to the sensor.*perspective"):
             djpt.render(djpt.load_dict(scene), integrator=light, spp=1)
+
+
+def test_light_paths_are_points_of_one_sequence() -> None:
+    """With `sobol` they cover a lamp evenly all together, whatever the size of the film."""
+    noise = {}
+    for sampler in ("independent", "sobol"):
+        scene = djpt.load_dict(
+            {
+                "type": "scene",
+                "integrator": {"type": "ptracer", "max_depth": 2},
+                "sensor": {
+                    "type": "perspective",
+                    "fov": 30,
+                    "to_world": T().look_at([0, 0, 1], [0, 0, 0], [0, 1, 0]),
+                    "film": {"type": "hdrfilm", "width": 23, "height": 17, "rfilter": {"type": "gaussian"}},
+                    "sampler": {"type": sampler},
+                },
+                "floor": {"type": "rectangle"},
+                "lamp": {
+                    "type": "rectangle",
+                    "to_world": T().translate([0, 0, 2]).rotate([1, 0, 0], 180).scale(0.9),
+                    "emitter": {"type": "directionalarea", "radiance": 1.0},
+                },
+            }
+        )
+        images = [djpt.render(scene, spp=64, seed=seed).numpy() for seed in range(4)]
+        assert np.mean(images) == pytest.approx(0.5 / np.pi, rel=0.03)
+        noise[sampler] = np.var(images, axis=0).mean()
+    assert noise["sobol"] < 0.2 * noise["independent"]

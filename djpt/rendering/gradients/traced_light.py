@@ -29,7 +29,7 @@ class TracedLight:
 
     def sampler(self) -> SampleStream:
         """The random numbers of the paths, from the first one on."""
-        return self._job.stream(self._number // self._job.spp_value, self._number % self._job.spp_value)
+        return self._job.light_stream(self._number)
 
     def begin(self, sampler: SampleStream) -> tuple[Any, Color3f, Color3f | None]:
         """See `LightPaths`."""

@@ -119,6 +119,16 @@ class Job:
         """The random numbers of the k-th sample of a pixel of the grid."""
         return self.sampler.stream(self.seed_value, SampleIndex(pixel, k, self.spp_value, self.width_value))
 
+    def light_stream(self, number: UInt32) -> SampleStream:
+        """The random numbers of a light path; the image has `samples` of them, numbered from 0.
+
+        Light paths belong to no pixel. Where a pixel's samples are points of a sequence, however many, light paths are
+        points of a single one.
+        """
+        if self.sampler.continues:
+            return self.stream(UInt32(0), number)
+        return self.stream(number // self.spp_value, number % self.spp_value)
+
     def coordinates(self, pixel: UInt32) -> tuple[Float, Float]:
         """Column and row of a pixel of the grid."""
         row = pixel // self.width_value

@@ -120,7 +120,7 @@ class JobWalks:
         width, height = job.film.crop_size()
 
         def fresh(number: UInt32) -> tuple[SampleStream, LightPath]:
-            sampler = job.stream(number // job.spp_value, number % job.spp_value)
+            sampler = job.light_stream(number)
             return sampler, start(sampler)
 
         def step(lane: Lane) -> tuple[LightPath, Bool]:
