@@ -29,8 +29,8 @@ __all__ = ["VERSION", "Renderer", "mitsuba_renderer", "mitsuba_scene", "render_i
 VERSION = "3.9.1"
 """The release of Mitsuba that is the ground truth; names and conventions change between releases."""
 
-NOISE_ONLY = ("emitter_choice",)
-"""Parameters of djpt that change the noise of an image and nothing else."""
+OWN = ("emitter_choice", "unproven_gradients")
+"""Parameters of djpt that change the noise of an image, or its derivatives, and nothing else."""
 
 Renderer = Callable[[int, int], npt.NDArray[np.float32]]
 """A function ``renderer(spp, seed)`` that returns linear pixels (H, W, C)."""
@@ -102,8 +102,9 @@ def to_mitsuba(scene: Mapping[str, Any]) -> dict[str, Any]:
 
     Transforms (ours, NumPy 4 x 4, nested lists) become `mitsuba.ScalarTransform4f`; Dr.Jit and NumPy scalars and
     short arrays become Python's. An `envmap`'s `data` becomes a bitmap, a `gridvolume`'s a grid, `sobol` becomes
-    `independent`, and `emitter_choice` is left out: the image keeps its mean. Mitsuba's own objects stay. `scene` is
-    not modified. Raises `ComparisonError` for djpt's plugin objects, which only djpt can render.
+    `independent`; `emitter_choice` and `unproven_gradients` are left out. The image keeps its mean. Mitsuba's own
+    objects stay. `scene` is not modified. Raises `ComparisonError` for djpt's plugin objects, which only djpt can
+    render.
     """
     with _variant() as mi:
         return {key: _value(mi, value, f"scene.{key}") for key, value in scene.items()}
@@ -137,7 +138,7 @@ def _value(mi: Any, value: Any, node: str) -> Any:
 
 def _in_its_words(mi: Any, node: Mapping[str, Any]) -> dict[str, Any]:
     """Replace what only djpt knows in a node by Mitsuba's terms, where the image keeps its mean."""
-    known = {key: value for key, value in node.items() if key not in NOISE_ONLY}
+    known = {key: value for key, value in node.items() if key not in OWN}
     pixels = known.get("data")
     if known.get("type") == "sobol":
         known = {key: known[key] for key in ("sample_count", "seed") if key in known} | {"type": "independent"}

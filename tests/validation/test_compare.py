@@ -368,7 +368,7 @@ def test_what_only_djpt_knows_is_translated() -> None:
     """Noise may differ, the mean doesn't; and a description can be used again."""
     scene = djpt.scenes.stage({"sky": {"type": "envmap", "data": djpt.scenes.sky(16)}}, size=24)
     scene["sensor"]["sampler"] = {"type": "sobol", "sample_count": 16}
-    scene["integrator"]["emitter_choice"] = "tree"
+    scene["integrator"].update(emitter_choice="tree", unproven_gradients=True)
     stripes = np.ones((4, 4, 3), np.float32) * np.linspace(0.1, 0.9, 4, dtype=np.float32)[:, None]
     scene["floor"]["bsdf"] = {"type": "diffuse", "reflectance": {"type": "bitmap", "data": djpt.TensorXf(stripes)}}
     for _ in range(2):
