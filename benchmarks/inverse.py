@@ -32,6 +32,7 @@ from typing import Any
 
 import drjit as dr
 import numpy as np
+from inverse_caustic import caustic
 from inverse_scenes import Problem, environment, material, normals, paints, pose, roughness, texture, view, volume
 from inverse_shape import shape
 
@@ -50,6 +51,7 @@ PROBLEMS: dict[str, Callable[[], Problem]] = {
     "view": view,
     "volume": volume,
     "shape": shape,
+    "caustic": caustic,
 }
 TARGETS = (0.4, 0.2, 0.1)
 """The errors to be reached, relative to that at the start."""
