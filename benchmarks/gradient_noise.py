@@ -1,7 +1,7 @@
 """The noise of gradients, times their time, in the ten problems of `inverse.py`: as `render` has them, and as a search.
 
-By `render`: an image and one reverse derivative of the mean square of its residuals, each with samples of its own. As
-`least_squares` has it: the sixth of a row of steps that approach the same place, each a fiftieth of the way from start
+By `render`: an image and one reverse derivative of the mean square of its residuals, each with samples of its own, by
+the default sampler, `independent`. As `least_squares` has it, with `sobol`: the sixth of a row of steps that approach the same place, each a fiftieth of the way from start
 to truth, with tables of derivatives and means over steps where there are some, in recorded functions where shapes,
 cameras and volumes stay as they are. The error is the mean square of the difference from a mean of 48 gradients by
 `render`, bias included; seconds are those of the processor, of one thread, for the last step alone, kernels compiled
@@ -68,6 +68,7 @@ def in_search(equations: Equations, x: Doubles, way: Doubles, seed: int) -> tupl
 
 def measured(problem: Problem) -> tuple[float, float, float, float]:
     """Errors relative to the mean square of the reference, and seconds: by `render`, and in a search."""
+    plainly = Renderer(djpt, problem, in_djpt(problem, "independent"))
     renderer = Renderer(djpt, problem, in_djpt(problem))
     module, scene, target, apply, spp = djpt, renderer.scene, renderer.target, problem.apply, problem.spp
 
@@ -83,8 +84,9 @@ def measured(problem: Problem) -> tuple[float, float, float, float]:
     equations = Equations(Passes(residual, frozen), {"x": renderer.typed(problem.start)}, {}, {})
     in_search(equations, x.ravel(), way, 0)
     rows = [in_search(equations, x.ravel(), way, 1 + k) for k in range(ROWS)]
-    by_render(renderer, x, 0)
-    plain = [by_render(renderer, x, 1 + k) for k in range(REFERENCE)]
+    plainly.target = renderer.target
+    by_render(plainly, x, 0)
+    plain = [by_render(plainly, x, 1 + k) for k in range(REFERENCE)]
     reference = np.mean([gradient for gradient, _ in plain], axis=0)
     size = float(np.mean(np.square(reference)))
     found = []

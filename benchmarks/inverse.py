@@ -4,7 +4,8 @@ Mitsuba: path replay (or projective sampling, for what moves) and Adam. Each pro
 each error the fastest counts. djpt: Gauss-Newton steps, diagonal where all derivatives have one sign (`optimize`), else
 damped and taken back (`least_squares`), with one setting for each problem. Both start from the same values, with the
 same pictures, rendered by each renderer itself, and the same samples per pixel; `least_squares` begins with fewer and
-ends with more, and its derivatives of a cloud have four times as many. For what moves it compares images on both sides
+ends with more, its derivatives of a cloud have four times as many, and those of a caustic half as many. Samples are
+djpt's `sobol`, in Mitsuba those of its scenes, `independent`. For what moves it compares images on both sides
 of each unknown, which need no projective sampling.
 
 The error is the mean absolute difference from the true values, relative to that at the start. Seconds are those of the
@@ -224,7 +225,7 @@ class Renderer:
         return course
 
 
-def in_djpt(problem: Problem) -> Any:
+def in_djpt(problem: Problem, sampler: str = "sobol") -> Any:
     """A scene in djpt, with one sensor for all views."""
     description = problem.scene(problem.size)
     if problem.differences and description["integrator"]["type"] == "direct_projective":
@@ -233,6 +234,7 @@ def in_djpt(problem: Problem) -> Any:
         views = {f"sensor{k}": description.pop(f"sensor{k}") for k in range(problem.views)}
         wide = {**views["sensor0"]["film"], "width": problem.views * problem.size}
         description["sensor"] = {"type": "batch", "film": wide, **views}
+    description["sensor"] = {**description["sensor"], "sampler": {"type": sampler}}
     return djpt.load_dict(description)
 
 
@@ -360,6 +362,7 @@ DESCRIBED = (
     "rates the fastest counts, for each error by itself. djpt solves it by Gauss-Newton steps with one setting, or, "
     "where noise hides the second order, by Adam with the middle one of the rates. Both have the same start, pictures "
     "of their own, and the same number of samples per pixel, but `least_squares` begins with fewer and ends with more. "
+    "djpt's sampler is `sobol`, Mitsuba's the default one, `independent`. "
     "The error is the mean absolute difference from the truth relative to that at the start; seconds are those of the "
     "processor, of one thread, kernels compiled before. A dash: the error wasn't reached; the time until then is a "
     "bound on the ratio."

@@ -36,7 +36,6 @@ def pane(size: int) -> dict[str, Any]:
             "type": "perspective",
             "fov": 40,
             "film": film,
-            "sampler": {"type": "sobol"},
             "to_world": T().look_at([0, 0, -0.5], [0, 0, -1], [0, 1, 0]),
         },
         "wall": {"type": "rectangle", "to_world": T().translate([0, 0, -3]).scale(3)},
