@@ -1,11 +1,11 @@
 """The noise of gradients, times their time, in the ten problems of `inverse.py`: as `render` has them, and as a search.
 
 By `render`: an image and one reverse derivative of the mean square of its residuals, each with samples of its own, by
-the default sampler, `independent`. As `least_squares` has it, with `sobol`: the sixth of a row of steps that approach the same place, each a fiftieth of the way from start
-to truth, with tables of derivatives and means over steps where there are some, in recorded functions where shapes,
-cameras and volumes stay as they are. The error is the mean square of the difference from a mean of 48 gradients by
-`render`, bias included; seconds are those of the processor, of one thread, for the last step alone, kernels compiled
-and functions recorded before.
+the default sampler, `independent`. As `least_squares` has it, with `sobol`: the sixth of a row of steps that approach
+the same place, each a fiftieth of the way from start to truth, with tables of derivatives and means over steps where
+there are some, in recorded functions where shapes, cameras and volumes stay as they are. The error is the mean square
+of the difference from a mean of 48 gradients by `render`, bias included; seconds are those of the processor, of one
+thread, for the last step alone, kernels compiled and functions recorded before.
 
     python benchmarks/gradient_noise.py
 """

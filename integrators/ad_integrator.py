@@ -14,8 +14,8 @@ from djpt.errors import RenderError
 from djpt.films.base import FilmFlags
 from djpt.integrators.base import Integrator
 from djpt.jit.types import Bool, Color3f, Float, Int32, Point2f, TensorXf, UInt32
+from djpt.rendering.gradients.fresh_leaves import attached_view
 from djpt.rendering.gradients.leaves import attached_parameters, motion_parameters
-from djpt.rendering.gradients.own_rendering import attached_view
 from djpt.rendering.gradients.refusals import require_proven
 from djpt.rendering.gradients.unproven import moves
 from djpt.rendering.schedules.job import require_countable

@@ -35,8 +35,8 @@ from djpt.integrators.projective.strips import beside_outline
 from djpt.integrators.projective.wedges import clear_of_wedges, close_together
 from djpt.jit.frozen import recording
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, TensorXf, UInt32, Vector3f
+from djpt.rendering.gradients.fresh_leaves import attached_view
 from djpt.rendering.gradients.meetings import meeting_pairs
-from djpt.rendering.gradients.own_rendering import attached_view
 from djpt.rendering.gradients.unproven import moves
 from djpt.samplers.base import Sampler
 from djpt.scene.scene import Scene, find_sensor

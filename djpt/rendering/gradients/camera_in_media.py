@@ -15,6 +15,7 @@ from djpt.errors import RenderError
 from djpt.integrators.projective.moving_camera import parts_of_image
 from djpt.jit.frozen import recording
 from djpt.jit.types import TensorXf
+from djpt.rendering.gradients.fresh_leaves import FreshLeaves
 from djpt.rendering.gradients.leaves import Parameter
 from djpt.rendering.settings import RenderSettings
 from djpt.scene.scene import Scene
@@ -37,10 +38,7 @@ class CameraInMedia:
             raise RenderError("frozen functions have no derivatives by the place of a camera in media")
         self._scene, self._integrator, self._sensor = scene, settings.integrator, settings.sensor
         self._seed, self._spp = settings.gradient_seed, settings.spp_grad or settings.sample_count
-        self._places = [(id(p.owner), p.attribute) for p in parameters]
-        # Later edits of the scene must not change what is differentiated.
-        self._values = [type(p.value)(dr.detach(p.value)) for p in parameters]
-        dr.make_opaque(self._values)
+        self._fresh = FreshLeaves(parameters)
 
     def backward(self, image: TensorXf) -> list[Any]:
         """The gradients of the parameters, from the derivatives with respect to the pixels (H, W, C)."""
@@ -54,11 +52,8 @@ class CameraInMedia:
 
     def forward(self, tangents: list[Any]) -> TensorXf:
         """The derivative of the image in the direction of `tangents`, one per parameter."""
-        dr.make_opaque(tangents)
         total = TensorXf(0)
-        with self._leaves() as fresh:
-            for leaf, tangent in zip(fresh, tangents, strict=True):
-                dr.set_grad(leaf, tangent)
+        with self._leaves(tangents):
             for part in self._parts():
                 dr.forward_to(part, flags=dr.ADFlag.ClearInterior)
                 total = total + dr.grad(part)
@@ -66,12 +61,12 @@ class CameraInMedia:
         return total
 
     @contextmanager
-    def _leaves(self) -> Iterator[list[Any]]:
+    def _leaves(self, tangents: list[Any] | None = None) -> Iterator[list[Any]]:
         """Fresh leaves in place of the parameters, by which the sensor moves within a `with` block."""
-        fresh = [type(value)(value) for value in self._values]
-        with dr.resume_grad(), exchanged(dict(zip(self._places, fresh, strict=True))):
-            dr.enable_grad(fresh)
-            yield fresh
+        with dr.resume_grad():
+            fresh, places = self._fresh.made(tangents)
+            with exchanged(places):
+                yield fresh
 
     def _parts(self) -> Iterator[TensorXf]:
         """The parts of the image, attached to leaves."""

@@ -23,6 +23,7 @@ from djpt.jit.frozen import recording, undifferentiated
 from djpt.jit.kernels import begin_trace
 from djpt.jit.llvm.lanes import small_blocks
 from djpt.jit.types import Bool, Color3f, Float, TensorXf, UInt32
+from djpt.rendering.gradients.fresh_leaves import FreshLeaves
 from djpt.rendering.gradients.leaves import Accumulator, Numbering, Parameter, Tangents
 from djpt.rendering.gradients.modes import Forward, Mode, Reverse
 from djpt.rendering.schedules.base import ModeOf, Schedule
@@ -226,15 +227,12 @@ class AttachedDerivative:
                 f"'{type(job.integrator).__name__}' is differentiated {self.at_once}: "
                 f"at most {MAX_ATTACHED_SAMPLES} samples are possible, found {job.samples}; use a smaller spp_grad"
             )
-        self.job, self.schedule, self.parameters = job, schedule, parameters
-        self.snapshot = [type(p.value)(dr.detach(p.value)) for p in parameters]
+        self.job, self.schedule, self.leaves = job, schedule, FreshLeaves(parameters)
 
-    def _samples(self) -> tuple[list[Any], list[Float]]:
+    def _samples(self, tangents: list[Any] | None = None) -> tuple[list[Any], list[Float]]:
         """Fresh leaves in place of the parameters, and the samples' channels attached to them."""
-        fresh = [type(value)(value) for value in self.snapshot]
-        dr.enable_grad(fresh)
-        overrides = {(id(p.owner), p.attribute): leaf for p, leaf in zip(self.parameters, fresh, strict=True)}
-        view = self.job.with_scene(self.job.scene.replace(lookup=Attached(overrides)))
+        fresh, places = self.leaves.made(tangents)
+        view = self.job.with_scene(self.job.scene.replace(lookup=Attached(places)))
         return fresh, self.schedule.samples(view, Band(0, self.job.height), 0, self.job.spp)
 
     def backward(self, image: TensorXf) -> list[Any]:
@@ -253,9 +251,7 @@ class AttachedDerivative:
 
     def forward(self, tangents: list[Any]) -> TensorXf:
         with dr.resume_grad():
-            fresh, samples = self._samples()
-            for leaf, tangent in zip(fresh, tangents, strict=True):
-                dr.set_grad(leaf, tangent)
+            fresh, samples = self._samples(tangents)
             dr.enqueue(dr.ADMode.Forward, *fresh)
             # A channel may be an intermediate result of another: keep those gradients.
             dr.traverse(dr.ADMode.Forward, dr.ADFlag.ClearNone)

@@ -18,7 +18,6 @@ section 4.3, finds lenses by their caustics so.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import drjit as dr
@@ -28,20 +27,16 @@ from djpt.description.registry import name_of
 from djpt.errors import RenderError
 from djpt.films.footprint import ChangeSplats, in_window
 from djpt.integrators.ptracer import ParticleTracer
-from djpt.jit.kernels import opaque
 from djpt.jit.types import Bool, Color3f, Float, Point2f, TensorXf
 from djpt.rendering.gradients.derivatives import add
+from djpt.rendering.gradients.fresh_leaves import FreshLeaves
 from djpt.rendering.gradients.gradient_sums import changes as propagated_to
 from djpt.rendering.gradients.leaves import Parameter
-from djpt.rendering.gradients.own_rendering import attached_view
 from djpt.rendering.gradients.splatted import adjoints_of_light, light_image, straight_light
 from djpt.rendering.gradients.traced_light import TracedLight
 from djpt.rendering.schedules.job import Job
 from djpt.rendering.schedules.passes import ranges
 from djpt.rfilters.base import is_wide
-from djpt.scene.scene import Scene
-from djpt.shapes.silhouettes.moving import exchanged
-from djpt.shapes.silhouettes.normals import with_normals
 
 __all__ = ["MovingLightDerivative"]
 
@@ -101,10 +96,7 @@ class MovingLightDerivative:
             RenderError: Light paths can't be followed.
         """
         require_followed(job, moving)
-        self._job, self._count = job, len(moving)
-        self._places = [(id(p.owner), p.attribute) for p in parameters]
-        # Later edits of the scene must not change what is differentiated.
-        self._values = [opaque(p.value) for p in parameters]
+        self._job, self._count, self._leaves = job, len(moving), FreshLeaves(parameters)
         self._straight = straight_light(job, parameters[: -self._count])
 
     def backward(self, image: TensorXf) -> list[Any]:
@@ -112,7 +104,7 @@ class MovingLightDerivative:
             pixels = adjoints_of_light(self._job, image, False)
 
         def of_pass(begin: int, end: int) -> list[Any]:
-            with self._attached() as (fresh, scene):
+            with self._leaves.attached(self._job.scene) as (fresh, scene):
                 loss = Float(0)
                 for position, light, shows in MovingLightPaths(self._job, scene, begin, end).splats():
                     loss += Float(dr.select(shows, dr.dot(light, pixels.at(position, shows)), 0))
@@ -130,7 +122,7 @@ class MovingLightDerivative:
     def forward(self, tangents: list[Any]) -> TensorXf:
         job, changes = self._job, ChangeSplats(self._job.film)
         for begin, end in self._passes():
-            with self._attached(tangents) as (_, scene):
+            with self._leaves.attached(job.scene, tangents) as (_, scene):
                 shares = [
                     share
                     for position, light, shows in MovingLightPaths(job, scene, begin, end).splats()
@@ -142,18 +134,6 @@ class MovingLightDerivative:
             dr.eval(changes.memory)
         with dr.suspend_grad():
             return light_image(job, changes, False) + self._straight.forward(tangents[: -self._count])
-
-    @contextmanager
-    def _attached(self, tangents: list[Any] | None = None) -> Iterator[tuple[list[Any], Scene]]:
-        """Fresh leaves in place of the parameters, and the scene that reads them within a `with` block."""
-        with dr.resume_grad():
-            fresh = [type(value)(value) for value in self._values]
-            dr.enable_grad(fresh)
-            for leaf, tangent in zip(fresh, tangents or (), strict=bool(tangents)):
-                dr.set_grad(leaf, opaque(tangent))
-            values = dict(zip(self._places, fresh, strict=True))
-            with exchanged(with_normals(values, self._job.scene.shapes())):
-                yield fresh, attached_view(self._job.scene, values)
 
     def _passes(self) -> Iterator[tuple[int, int]]:
         width, height = self._job.film.crop_size()

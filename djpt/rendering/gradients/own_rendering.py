@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import drjit as dr
 
-from djpt.dispatch.ensemble import Attached
 from djpt.jit.frozen import recording
 from djpt.jit.types import TensorXf
 from djpt.rendering.gradients.derivatives import attached_image, propagated
+from djpt.rendering.gradients.fresh_leaves import FreshLeaves, attached_view
 from djpt.rendering.gradients.leaves import Parameter, attached_parameters, motion_parameters
 from djpt.rendering.gradients.refusals import require_proven
 from djpt.rendering.gradients.self_intersections import warn_of_self_intersections
@@ -24,17 +22,7 @@ from djpt.scene.scene import Scene, find_sensor
 from djpt.shapes.silhouettes.moving import exchanged
 from djpt.shapes.silhouettes.normals import with_normals
 
-__all__ = ["attached_view", "image_by_itself", "own_derivative"]
-
-
-def attached_view(scene: Scene, values: dict[tuple[int, str], Any]) -> Scene:
-    """A view of the scene that reads the AD variables `values`, by (id of a plugin, attribute), in place of copies.
-
-    All tables are made at once: none may be made within a loop that Dr.Jit records.
-    """
-    lookup = Attached(values)
-    lookup.prepare(leaf for ensemble in scene.ensembles() for leaf in ensemble.leaves())
-    return scene.replace(lookup=lookup)
+__all__ = ["image_by_itself", "own_derivative"]
 
 
 def image_by_itself(scene: Scene, params: Any, settings: RenderSettings) -> TensorXf:
@@ -91,40 +79,24 @@ class OwnDerivative:
     def __init__(self, scene: Scene, params: Any, settings: RenderSettings, parameters: list[Parameter]) -> None:
         self._integrator, self._scene, self._params = settings.integrator, scene, params
         self._samples = settings.sensor, settings.gradient_seed, settings.spp_grad or settings.spp
-        self._places = [(id(p.owner), p.attribute) for p in parameters]
-        # Later edits of the scene must not change what is differentiated.
-        self._values = [type(p.value)(dr.detach(p.value)) for p in parameters]
-        # Numbers that were written into a script must not be written into kernels.
-        dr.make_opaque(self._values)
-
-    @contextmanager
-    def _leaves(self) -> Iterator[tuple[list[Any], Scene]]:
-        """Fresh leaves in place of the parameters, and the scene that reads them within a `with` block."""
-        fresh = [type(value)(value) for value in self._values]
-        dr.enable_grad(fresh)
-        values = dict(zip(self._places, fresh, strict=True))
-        with exchanged(with_normals(values, self._scene.shapes())):
-            yield fresh, attached_view(self._scene, values)
+        self._leaves = FreshLeaves(parameters)
 
     def backward(self, image: TensorXf) -> list[Any]:
         """The gradients of the parameters, from the derivatives with respect to the pixels (H, W, C)."""
-        with dr.resume_grad(), self._leaves() as (fresh, scene):
+        with self._leaves.attached(self._scene) as (fresh, scene):
             self._integrator.render_backward(scene, self._params, image, *self._samples)
             return [dr.grad(leaf) for leaf in fresh]
 
     def forward(self, tangents: list[Any]) -> TensorXf:
         """The derivative of the image in the direction of `tangents`, one per parameter."""
-        with dr.resume_grad(), self._leaves() as (fresh, scene):
-            dr.make_opaque(tangents)
-            for leaf, tangent in zip(fresh, tangents, strict=True):
-                dr.set_grad(leaf, tangent)
+        with self._leaves.attached(self._scene, tangents) as (_, scene):
             return self._integrator.render_forward(scene, self._params, *self._samples)
 
     def graph(self, parameters: list[Parameter]) -> TensorXf | None:
         """An image of zeros, attached to the parameters themselves; None if the integrator's image has no graph."""
         values = [p.value for p in parameters]
         dr.make_opaque(values)
-        places = dict(zip(self._places, values, strict=True))
+        places = {(id(p.owner), p.attribute): value for p, value in zip(parameters, values, strict=True)}
         with dr.resume_grad(), exchanged(with_normals(places, self._scene.shapes())):
             view = attached_view(self._scene, places)
             image: TensorXf | None = self._integrator.attached_image(view, *self._samples)

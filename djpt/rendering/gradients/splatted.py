@@ -12,14 +12,13 @@ from djpt.errors import RenderError
 from djpt.films.footprint import ChangeSplats, SpreadReader, in_window
 from djpt.integrators.bdpt import BidirectionalPath
 from djpt.integrators.ptracer import ParticleTracer
-from djpt.jit.kernels import opaque
 from djpt.jit.types import Color3f, Float, TensorXf, UInt32
 from djpt.rendering.gradients.bidirectional import BothEnds
 from djpt.rendering.gradients.derivatives import Derivative, NoDerivative, ReplayDerivative, add, on_grid, over_weights
+from djpt.rendering.gradients.fresh_leaves import FreshLeaves, spread
 from djpt.rendering.gradients.gradient_sums import Forward, Measure, Reverse
 from djpt.rendering.gradients.leaves import Parameter
 from djpt.rendering.gradients.light_replay import nothing, walk_light_paths
-from djpt.rendering.gradients.own_rendering import attached_view
 from djpt.rendering.gradients.traced_light import TracedLight
 from djpt.rendering.schedules.job import Band, Job
 from djpt.rendering.schedules.lanes import grouped
@@ -53,30 +52,6 @@ def light_derivative(job: Job, parameters: list[Parameter]) -> Derivative:
         )
     by = TracedLightDerivative if isinstance(job.integrator, ParticleTracer) else BothEndsDerivative
     return by(job, parameters)
-
-
-class LeafViews:
-    """Views of a scene in which fresh leaves stand in for its parameters."""
-
-    def __init__(self, job: Job, parameters: list[Parameter]) -> None:
-        self._scene = job.scene
-        self._places = [(id(p.owner), p.attribute) for p in parameters]
-        # Later edits of the scene must not change what is differentiated.
-        self._values = [opaque(p.value) for p in parameters]
-
-    def attached(self, tangents: list[Any] | None = None) -> tuple[list[Any], Scene]:
-        """Fresh leaves and the scene that reads them; in forward mode it reads their tangents along."""
-        with dr.resume_grad():
-            fresh = [type(value)(value) for value in self._values]
-            dr.enable_grad(fresh)
-            scene = attached_view(self._scene, dict(zip(self._places, fresh, strict=True)))
-            if tangents is not None:
-                for leaf, tangent in zip(fresh, tangents, strict=True):
-                    dr.set_grad(leaf, tangent)
-                # To the tables that kernels read: loops can't propagate from outside.
-                dr.enqueue(dr.ADMode.Forward, fresh)
-                dr.traverse(dr.ADMode.Forward, dr.ADFlag.ClearEdges)
-            return fresh, scene
 
 
 def gradients(fresh: list[Any]) -> list[Any]:
@@ -113,7 +88,7 @@ class BothEndsDerivative:
     """The derivative of an image by `bdpt`."""
 
     def __init__(self, job: Job, parameters: list[Parameter]) -> None:
-        self._job, self._views = job, LeafViews(job, parameters)
+        self._job, self._leaves = job, FreshLeaves(parameters)
         self._continued = job.film.border > 0
 
     def backward(self, image: TensorXf) -> list[Any]:
@@ -125,10 +100,10 @@ class BothEndsDerivative:
             def of_pass(band: Band, begin: int, end: int) -> list[Any]:
                 delta = job.color_adjoint(sample_adjoints(job, band, adjoints, begin, end))
                 dr.eval(delta)
-                fresh, scene = self._views.attached()
-                paths, sampler = self._paths(scene, band, begin, end)
-                paths.reverse(Measure(pixels), Reverse(pixels), sampler, delta)
-                return gradients(fresh)
+                with self._leaves.attached(job.scene) as (fresh, scene), dr.suspend_grad():
+                    paths, sampler = self._paths(scene, band, begin, end)
+                    paths.reverse(Measure(pixels), Reverse(pixels), sampler, delta)
+                    return gradients(fresh)
 
             return add(of_pass(*part) for part in stored_passes(job))
 
@@ -136,9 +111,10 @@ class BothEndsDerivative:
         changes = ChangeSplats(self._job.film)
 
         def samples(job: Job, band: Band, begin: int, end: int) -> list[Float]:
-            _, scene = self._views.attached(tangents)
-            paths, sampler = self._paths(scene, band, begin, end)
-            return job.tangent_channels(paths.forward(Forward(changes), sampler))
+            with self._leaves.attached(job.scene, tangents) as (fresh, scene), dr.suspend_grad():
+                spread(fresh)
+                paths, sampler = self._paths(scene, band, begin, end)
+                return job.tangent_channels(paths.forward(Forward(changes), sampler))
 
         with dr.suspend_grad():
             image = image_of_rows(self._job, stored_rows(self._job, samples))
@@ -166,7 +142,7 @@ class TracedLightDerivative:
     """The derivative of an image by `ptracer`: of what light paths show, and of what the camera sees of lights."""
 
     def __init__(self, job: Job, parameters: list[Parameter]) -> None:
-        self._job, self._views = job, LeafViews(job, parameters)
+        self._job, self._leaves = job, FreshLeaves(parameters)
         self._straight = straight_light(job, parameters)
 
     def backward(self, image: TensorXf) -> list[Any]:
@@ -174,12 +150,12 @@ class TracedLightDerivative:
             pixels = adjoints_of_light(self._job, image, False)
 
             def of_pass(begin: int, end: int) -> list[Any]:
-                fresh, scene = self._views.attached()
-                paths, lanes = TracedLight(self._job, scene, begin, end), end - begin
-                empty = nothing(scene, lanes)
-                total = walk_light_paths(paths, Measure(pixels), paths.sampler(), lanes, empty).carried
-                walk_light_paths(paths, Reverse(pixels), paths.sampler(), lanes, total)
-                return gradients(fresh)
+                with self._leaves.attached(self._job.scene) as (fresh, scene), dr.suspend_grad():
+                    paths, lanes = TracedLight(self._job, scene, begin, end), end - begin
+                    empty = nothing(scene, lanes)
+                    total = walk_light_paths(paths, Measure(pixels), paths.sampler(), lanes, empty).carried
+                    walk_light_paths(paths, Reverse(pixels), paths.sampler(), lanes, total)
+                    return gradients(fresh)
 
             by_light = add(of_pass(*part) for part in self._passes())
         return [a + b for a, b in zip(by_light, self._straight.backward(image), strict=True)]
@@ -188,10 +164,11 @@ class TracedLightDerivative:
         job, changes = self._job, ChangeSplats(self._job.film)
         with dr.suspend_grad():
             for begin, end in self._passes():
-                _, scene = self._views.attached(tangents)
-                paths, lanes = TracedLight(job, scene, begin, end), end - begin
-                walk = walk_light_paths(paths, Forward(changes), paths.sampler(), lanes, nothing(scene, lanes))
-                dr.eval(walk.count, changes.memory)
+                with self._leaves.attached(job.scene, tangents) as (fresh, scene), dr.suspend_grad():
+                    spread(fresh)
+                    paths, lanes = TracedLight(job, scene, begin, end), end - begin
+                    walk = walk_light_paths(paths, Forward(changes), paths.sampler(), lanes, nothing(scene, lanes))
+                    dr.eval(walk.count, changes.memory)
             return light_image(job, changes, False) + self._straight.forward(tangents)
 
     def _passes(self) -> Iterator[tuple[int, int]]:

@@ -10,8 +10,8 @@ import drjit as dr
 from djpt.integrators.base import PathIntegrator
 from djpt.jit.types import Color3f, TensorXf
 from djpt.rendering.gradients.derivatives import AttachedDerivative, on_grid, over_weights
+from djpt.rendering.gradients.fresh_leaves import attached_view, spread
 from djpt.rendering.gradients.lane_replay import measured, replayed
-from djpt.rendering.gradients.own_rendering import attached_view
 from djpt.rendering.schedules.job import Band
 from djpt.rendering.schedules.passes import image_of_samples
 from djpt.rendering.schedules.reconstruction import sample_adjoints
@@ -47,22 +47,16 @@ class WavefrontDerivative(AttachedDerivative):
         return self.job
 
     def _replayed(
-        self, mode: dr.ADMode, delta: Color3f | None, tangents: Sequence[Any] = ()
+        self, mode: dr.ADMode, delta: Color3f | None, tangents: Sequence[Any] | None = None
     ) -> tuple[list[Any], Color3f]:
         """Fresh leaves in place of the parameters, which gradients have been propagated to, or from; and `replayed`."""
         job, integrator = self._job(), self.job.integrator
         assert isinstance(integrator, PathIntegrator)
         with dr.resume_grad():
-            fresh = [type(value)(value) for value in self.snapshot]
-            dr.enable_grad(fresh)
-            places = [(id(p.owner), p.attribute) for p in self.parameters]
-            scene = attached_view(job.scene, dict(zip(places, fresh, strict=True)))
-            for leaf, tangent in zip(fresh, tangents, strict=False):
-                dr.set_grad(leaf, tangent)
-            if tangents:
-                # To the tables that kernels read: loops can't propagate from outside.
-                dr.enqueue(dr.ADMode.Forward, fresh)
-                dr.traverse(dr.ADMode.Forward, dr.ADFlag.ClearEdges)
+            fresh, places = self.leaves.made(tangents)
+            scene = attached_view(job.scene, places)
+            if tangents is not None:
+                spread(fresh)
         with dr.suspend_grad():
             sampler = job.begun(job.spp)
             ray = job.rays(sampler, 0, job.spp)
