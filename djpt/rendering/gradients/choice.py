@@ -17,7 +17,7 @@ from djpt.rendering.gradients.derivatives import (
     ReplayDerivative,
     attached_image,
 )
-from djpt.rendering.gradients.leaves import Parameter
+from djpt.rendering.gradients.leaves import Parameter, placing
 from djpt.rendering.known_images import known_derivative_or, known_or
 from djpt.rendering.schedules.base import Schedule
 from djpt.rendering.schedules.choice import choose
@@ -90,11 +90,11 @@ def derivative_of(samples: Job, schedule: Schedule, parameters: list[Parameter])
         return nested_derivative(samples, parameters)
     if integrator.starts_at_lights:
         # Few images need what follows light or wavefronts.
-        moving = [p.owner for p in parameters if p.owner.kind == "shape"]
+        moving = placing(samples.scene.shapes())
         if moving:
             from djpt.rendering.gradients.moving_light_paths import MovingLightDerivative
 
-            return MovingLightDerivative(samples, parameters, moving)
+            return MovingLightDerivative(samples, parameters, len(moving))
         from djpt.rendering.gradients.splatted import light_derivative
 
         return light_derivative(samples, parameters)

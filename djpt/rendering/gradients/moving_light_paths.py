@@ -47,13 +47,13 @@ PASS_PATHS = 2**19
 """Light paths of a pass."""
 
 
-def require_followed(job: Job, shapes: list[Any]) -> None:
-    """Refuse what has no derivatives by light paths that move with `shapes`.
+def require_followed(job: Job, moving: list[Parameter]) -> None:
+    """Refuse what has no derivatives by light paths that move with shapes.
 
     Raises:
         RenderError: It says what, and what is possible.
     """
-    what = f"'{shapes[-1].id()}' moves with parameters that have gradients, and "
+    what = f"'{moving[-1].owner.id()}' moves with parameters that have gradients, and "
     assert isinstance(job.integrator, ParticleTracer)
     depth = job.integrator.max_depth
     if depth < 0 or depth > MOST_EDGES:
@@ -64,9 +64,13 @@ def require_followed(job: Job, shapes: list[Any]) -> None:
             f"{what}the film has the filter '{name_of(type(film.rfilter()))}': light that moves over it changes pixels "
             "by the slope of the filter; possible: a 'gaussian' or a 'tent' a few pixels wide"
         )
-    for shape in shapes:
+    for parameter in moving:
+        shape: Any = parameter.owner
         if shape.emitter() is not None:
-            raise RenderError(f"{what}shines: how light paths move with their lamp isn't followed; use 'path'")
+            raise RenderError(
+                f"'{shape.id()}' moves with parameters that have gradients, and shines: how light paths move with a "
+                "lamp isn't followed; possible: 'direct_projective' or 'prb_projective'"
+            )
 
 
 class MovingLightPaths(TracedLight):
@@ -89,14 +93,14 @@ class MovingLightPaths(TracedLight):
 class MovingLightDerivative:
     """The derivative of an image by `ptracer`, by shapes that move and by all else."""
 
-    def __init__(self, job: Job, parameters: list[Parameter], moving: list[Any]) -> None:
-        """`moving`: the shapes that move, whose parameters are the last ones, one for each.
+    def __init__(self, job: Job, parameters: list[Parameter], moving: int) -> None:
+        """`moving`: the number of those that shapes move by, which come last.
 
         Raises:
             RenderError: Light paths can't be followed.
         """
-        require_followed(job, moving)
-        self._job, self._count, self._leaves = job, len(moving), FreshLeaves(parameters)
+        require_followed(job, parameters[-moving:])
+        self._job, self._count, self._leaves = job, moving, FreshLeaves(parameters)
         self._straight = straight_light(job, parameters[: -self._count])
 
     def backward(self, image: TensorXf) -> list[Any]:
