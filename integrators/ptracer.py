@@ -148,7 +148,7 @@ class ParticleTracer(Terminating, PassIntegrator):
             return value, bs, at_fixed_direction(bs, weight, there)
 
         bsdf = si.bsdf()
-        value, bs, weight = bsdf.visit(method, bsdf.branching(si, proceed))
+        value, bs, weight = bsdf.visit(method, bsdf.branching(proceed, si.wi, si.uv))
         splat = path.flux * value * importance
         if self.hide_emitters:
             splat = dr.select(si.emitter().is_valid(), 0, splat)

@@ -118,7 +118,7 @@ class BSDFPtr(Pointer[BSDF]):
             bs = dr.detach(bs)
             return value, dr.detach(pdf), bs, self._reattached(bsdf, ctx, si, bs, weight, active)
 
-        return self.visit(method, self.branching(si, active, wo))
+        return self.visit(method, self.branching(active, si.wi, si.uv, wo))
 
     def eval_null_transmission(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
         """The fraction of light that passes straight through; 0 on inactive lanes."""
@@ -149,14 +149,6 @@ class BSDFPtr(Pointer[BSDF]):
         result = self.ensemble.call(self.index, self.lookup, there, None, active)
         # Every surface has a BSDF, so no value is needed for "none", unless a script has made the pointers.
         return zero_unless(self.is_valid(), result) if self.is_of_script else result
-
-    @staticmethod
-    def branching(si: SurfaceInteraction3f, active: Bool | bool, *others: Any) -> Bool | None:
-        """The `active` lanes for `visit`; None, all lanes, if the surface point or anything else is attached.
-
-        The derivatives of a branch by what it captures would be those of all lanes, not of those that take it.
-        """
-        return None if dr.grad_enabled(si.wi, si.uv, *others) else Bool(active)
 
     def _reattached(
         self,

@@ -184,6 +184,14 @@ class Pointer(Record, Generic[P]):
         """True where there is a plugin."""
         return self.index < len(self.plugins)
 
+    @staticmethod
+    def branching(active: Bool | bool, *inputs: Any) -> Bool | None:
+        """The `active` lanes for a dispatch by branches (`Ensemble.call`); None, all lanes, if an input is attached.
+
+        The derivatives of a branch by what it captures would be those of all lanes, not of those that take it.
+        """
+        return None if dr.grad_enabled(*inputs) else Bool(active)
+
     def number(self, of: Callable[[P], int]) -> UInt32:
         """A whole number per lane that is known when kernels are traced; unspecified where there is no plugin."""
         numbers = [of(plugin) for plugin in self.plugins]

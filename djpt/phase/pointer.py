@@ -74,8 +74,7 @@ class PhaseFunctionPtr(Pointer[PhaseFunction]):
             value, pdf = phase.eval_pdf(ctx, mi, wo, active)
             return value, dr.detach(pdf), *self._sampled(phase, ctx, mi, sample1, sample2, active)
 
-        # The derivatives of branches by what they capture would be those of all lanes.
-        return self.visit(method, None if dr.grad_enabled(mi.wi, mi.p, wo) else Bool(active))
+        return self.visit(method, self.branching(active, mi.wi, mi.p, wo))
 
     def projected_area(self, mi: MediumInteraction3f, active: Bool | bool = True) -> Float:
         """The fraction of the extinction that acts on light from `mi.wi`; 0 on inactive lanes."""
