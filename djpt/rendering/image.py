@@ -10,7 +10,7 @@ from djpt.errors import RenderError
 from djpt.integrators.base import Integrator
 from djpt.jit.kernels import begin_trace
 from djpt.jit.types import Float, TensorXf
-from djpt.rendering.gradients.leaves import attached_parameters, placing, prepare_tables, unused_values
+from djpt.rendering.gradients.leaves import Parameter, attached_parameters, placing, prepare_tables, unused_values
 from djpt.rendering.gradients.refusals import require_proven
 from djpt.rendering.known_images import known_or
 from djpt.rendering.schedules.base import Schedule
@@ -40,11 +40,9 @@ __all__ = [
 def film_image(scene: Scene, settings: RenderSettings) -> TensorXf:
     """The image of an integrator that djpt runs by a schedule; the film keeps it, too."""
     require_still(scene, settings.sensor, settings.integrator)
-    scene = with_copies(scene) if placing(scene.shapes()) else scene
-    job, names = make_job(scene, settings), channel_names(scene, settings.sensor, settings.integrator)
+    scene, job, parameters, motion = begun(scene, settings)
+    names = channel_names(scene, settings.sensor, settings.integrator)
     how = choose(settings.schedule, job)
-    parameters = [*attached_parameters(job.scene), *placing(job.scene.shapes())]
-    motion = placing(settings.sensor.members())
     check_memory(job, attached=bool(parameters or motion))
     if not job.channel_names():
         image = centres(job)
@@ -76,12 +74,9 @@ def image_derivative(scene: Scene, settings: RenderSettings, grad: TensorXf | No
 
     begin_trace()
     require_still(scene, settings.sensor, settings.integrator)
-    scene = with_copies(scene) if placing(scene.shapes()) else scene
-    job = make_job(scene, settings)
+    scene, job, parameters, motion = begun(scene, settings)
     width, height = job.film.crop_size()
     shape = (height, width, job.channel_count())
-    parameters = [*attached_parameters(job.scene), *placing(job.scene.shapes())]
-    motion = placing(settings.sensor.members())
     check_memory(job, attached=True)
     if not parameters and not motion:
         return dr.zeros(TensorXf, shape)
@@ -90,6 +85,20 @@ def image_derivative(scene: Scene, settings: RenderSettings, grad: TensorXf | No
     derivative = with_motion(derivative_of(job, choose(settings.schedule, job), parameters), scene, settings, motion)
     every = [*parameters, *motion]
     return propagated(attached_image(every, [], lambda: dr.zeros(TensorXf, shape), derivative), grad)
+
+
+def begun(scene: Scene, settings: RenderSettings) -> tuple[Scene, Job, list[Parameter], list[Parameter]]:
+    """The scene as it is rendered, its job, the parameters with gradients, and those that place the sensor."""
+    if placing_shapes(scene, settings.integrator):
+        scene = with_copies(scene)
+    job = make_job(scene, settings)
+    parameters = [*attached_parameters(job.scene), *placing_shapes(job.scene, job.integrator)]
+    return scene, job, parameters, placing(settings.sensor.members())
+
+
+def placing_shapes(scene: Scene, integrator: Integrator) -> list[Parameter]:
+    """The parameters that place shapes and have gradients; where paths don't follow them, `require_still` refuses."""
+    return placing(scene.shapes()) if integrator.follows_shapes else []
 
 
 def primal(job: Job, schedule: Schedule) -> TensorXf:
@@ -162,7 +171,7 @@ def make_job(scene: Scene, settings: RenderSettings) -> Job:
             "djpt.render, or an integrator that starts at the camera, such as 'path'"
         )
     integrator.resume()
-    if integrator.fits_any_frame() and not placing(scene.shapes()):
+    if integrator.fits_any_frame() and not placing_shapes(scene, integrator):
         scene, sensor = normalized(scene, sensor)
     scene = scene.replace(
         emitter_choice=integrator.emitter_choice,
