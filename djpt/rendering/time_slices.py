@@ -21,6 +21,7 @@ from djpt.errors import RenderError
 from djpt.jit.frozen import recording
 from djpt.jit.types import Float, TensorXf
 from djpt.rendering.gradients.derivatives import attached_image
+from djpt.rendering.gradients.fresh_leaves import FreshLeaves
 from djpt.rendering.gradients.leaves import Parameter, attached_parameters, motion_parameters
 from djpt.rendering.image import film_image, image_derivative, require_still
 from djpt.rendering.settings import RenderSettings
@@ -192,16 +193,13 @@ class SlicedDerivative:
         spp = settings.spp_grad or settings.sample_count
         self._sensor = settings.sensor
         self._slices = slices_of(replace(settings, seed=settings.gradient_seed), spp, MOST_DERIVATIVES)
-        # Later edits of the scene must not change what is differentiated.
-        self._values = [type(p.value)(dr.detach(p.value)) for p in parameters]
-        dr.make_opaque(self._values)
+        self._fresh = FreshLeaves(parameters)
 
     @contextmanager
     def _leaves(self) -> Iterator[list[Any]]:
         """Fresh leaves in the place of the parameters, within a `with` block."""
         before = [p.value for p in self._parameters]
-        fresh = [type(value)(value) for value in self._values]
-        dr.enable_grad(fresh)
+        fresh, _ = self._fresh.made()
         try:
             for parameter, leaf in zip(self._parameters, fresh, strict=True):
                 put(parameter, leaf)

@@ -32,10 +32,9 @@ from djpt.rendering.gradients.derivatives import add
 from djpt.rendering.gradients.fresh_leaves import FreshLeaves
 from djpt.rendering.gradients.gradient_sums import changes as propagated_to
 from djpt.rendering.gradients.leaves import Parameter
-from djpt.rendering.gradients.splatted import adjoints_of_light, light_image, straight_light
+from djpt.rendering.gradients.splatted import adjoints_of_light, light_image, passes_of_paths, straight_light
 from djpt.rendering.gradients.traced_light import TracedLight
 from djpt.rendering.schedules.job import Job
-from djpt.rendering.schedules.passes import ranges
 from djpt.rfilters.base import is_wide
 
 __all__ = ["MovingLightDerivative"]
@@ -116,7 +115,7 @@ class MovingLightDerivative:
                     dr.backward(loss)
                 return [dr.grad(leaf) for leaf in fresh]
 
-        by_light = add(of_pass(*part) for part in self._passes())
+        by_light = add(of_pass(*part) for part in passes_of_paths(self._job, PASS_PATHS))
         straight = self._straight.backward(image)
         return [
             *(a + b for a, b in zip(by_light[: -self._count], straight, strict=True)),
@@ -125,7 +124,7 @@ class MovingLightDerivative:
 
     def forward(self, tangents: list[Any]) -> TensorXf:
         job, changes = self._job, ChangeSplats(self._job.film)
-        for begin, end in self._passes():
+        for begin, end in passes_of_paths(job, PASS_PATHS):
             with self._leaves.attached(job.scene, tangents) as (_, scene):
                 shares = [
                     share
@@ -138,7 +137,3 @@ class MovingLightDerivative:
             dr.eval(changes.memory)
         with dr.suspend_grad():
             return light_image(job, changes, False) + self._straight.forward(tangents[: -self._count])
-
-    def _passes(self) -> Iterator[tuple[int, int]]:
-        width, height = self._job.film.crop_size()
-        return ranges(width * height * self._job.spp, PASS_PATHS)

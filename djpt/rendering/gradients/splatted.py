@@ -33,6 +33,7 @@ __all__ = [
     "adjoints_of_light",
     "light_derivative",
     "light_image",
+    "passes_of_paths",
     "straight_light",
 ]
 
@@ -131,6 +132,12 @@ class BothEndsDerivative:
         return BothEnds(job.integrator, scene, job.camera, ray, inside, dr.width(pixel)), sampler
 
 
+def passes_of_paths(job: Job, most: int) -> Iterator[tuple[int, int]]:
+    """The numbers begin <= n < end of an image's light paths, pass by pass; at most so many in each."""
+    width, height = job.film.crop_size()
+    return ranges(width * height * job.spp, most)
+
+
 def straight_light(job: Job, parameters: list[Parameter]) -> Derivative:
     """The derivative of what the camera sees of lights, in an image by `ptracer`."""
     assert isinstance(job.integrator, ParticleTracer)
@@ -157,20 +164,16 @@ class TracedLightDerivative:
                     walk_light_paths(paths, Reverse(pixels), paths.sampler(), lanes, total)
                     return gradients(fresh)
 
-            by_light = add(of_pass(*part) for part in self._passes())
+            by_light = add(of_pass(*part) for part in passes_of_paths(self._job, PASS_PATHS))
         return [a + b for a, b in zip(by_light, self._straight.backward(image), strict=True)]
 
     def forward(self, tangents: list[Any]) -> TensorXf:
         job, changes = self._job, ChangeSplats(self._job.film)
         with dr.suspend_grad():
-            for begin, end in self._passes():
+            for begin, end in passes_of_paths(job, PASS_PATHS):
                 with self._leaves.attached(job.scene, tangents) as (fresh, scene), dr.suspend_grad():
                     spread(fresh)
                     paths, lanes = TracedLight(job, scene, begin, end), end - begin
                     walk = walk_light_paths(paths, Forward(changes), paths.sampler(), lanes, nothing(scene, lanes))
                     dr.eval(walk.count, changes.memory)
             return light_image(job, changes, False) + self._straight.forward(tangents)
-
-    def _passes(self) -> Iterator[tuple[int, int]]:
-        width, height = self._job.film.crop_size()
-        return ranges(width * height * self._job.spp, PASS_PATHS)
