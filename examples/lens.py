@@ -42,14 +42,8 @@ def pane(points: int) -> djpt.Mesh:
     k = np.arange(points * points).reshape(points, points)
     a, b, c, d = k[:-1, :-1], k[:-1, 1:], k[1:, :-1], k[1:, 1:]
     faces = np.concatenate([np.stack(corners, axis=-1).reshape(-1, 3) for corners in ((a, b, d), (a, d, c))])
-    glass = djpt.Properties()
-    glass["bsdf"] = djpt.load_dict(GLASS)
-    mesh = djpt.Mesh("lens", points * points, len(faces), has_vertex_normals=True, props=glass)
-    params = djpt.traverse(mesh)
-    params["vertex_positions"] = np.stack([x, y, 0 * x], axis=-1).ravel().astype(np.float32)
-    params["faces"] = faces.ravel().astype(np.uint32)
-    params.update()
-    return mesh
+    positions = np.stack([x, y, 0 * x], axis=-1).reshape(-1, 3)
+    return djpt.Mesh("lens", positions, faces, props={"bsdf": GLASS})
 
 
 GLASS = {"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0, "specular_reflectance": 0.0}
