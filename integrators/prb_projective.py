@@ -24,11 +24,11 @@ from djpt.integrators.projective.reattach import attached_light, attached_wi, bs
 from djpt.integrators.projective.self_views import (
     MOST_FOLLOWED,
     Approach,
+    body_of,
+    has_bodies,
     no_rays,
     noted,
     sees_itself,
-    self_viewer,
-    self_viewers,
 )
 from djpt.integrators.projective.wedges import above_horizon
 from djpt.integrators.projective.weights import mis_weight
@@ -87,7 +87,7 @@ class PathProjectiveIntegrator(PSIntegrator):
         # Whether rays are attached, and what is known of their changes or adjoints.
         with dr.resume_grad():
             by_camera = not primal and dr.grad_enabled(ray.o, ray.d)
-        carries = not primal and (by_camera or has_mirrors(scene) or len(self_viewers(scene)) > 0)
+        carries = not primal and (by_camera or has_mirrors(scene) or has_bodies(scene))
         forward, backward = mode == dr.ADMode.Forward, mode == dr.ADMode.Backward
         rays = carried_rays(mode, ray, sampler.wavefront_size())
         β, η = Color3f(1) + zero, Float(1) + zero
@@ -98,7 +98,7 @@ class PathProjectiveIntegrator(PSIntegrator):
         # Where the path was before; of its first ray nothing is asked.
         o_before, d_before, p_before = Point3f(zero), Vector3f(zero) + 1, Point3f(zero)
         pdf_before, delta_before = Float(1) + zero, Bool(zero == 0)
-        # How many rays in a row a shape has taken along by which it sees itself.
+        # How many rays in a row a body has taken along by which it sees itself.
         followed = UInt32(zero)
         active = Bool(active) & (zero == 0)
         covered, first = Bool(zero != 0), Bool(zero == 0)
@@ -259,8 +259,8 @@ class PathProjectiveIntegrator(PSIntegrator):
         active = Bool(active) & (zero == 0)
         β, W, place = Color3f(1) + zero, Color3f(zero), Point2f(zero)
         edges, found, count = UInt32(1) + UInt32(zero), UInt32(zero), UInt32(zero)
-        # The rays that lead to the first vertex, and how many of them one shape takes along.
-        most = max(0, min(MOST_FOLLOWED + 1 if self_viewers(scene) else 1, self.max_depth - 2))
+        # The rays that lead to the first vertex, and how many of them one body takes along.
+        most = max(0, min(MOST_FOLLOWED + 1 if has_bodies(scene) else 1, self.max_depth - 2))
         ways = no_rays(most, sampler.wavefront_size())
         viewer, row, unbroken, row_found = UInt32(NONE) + UInt32(zero), UInt32(zero), zero == 0, UInt32(zero)
 
@@ -273,7 +273,7 @@ class PathProjectiveIntegrator(PSIntegrator):
             edges += dr.select(active, UInt32(1), 0)
             back = si.spawn_ray(-d)
             ways = noted(ways, edges - 3, back, active)
-            here = self_viewer(scene, si.shape_index, active)
+            here = body_of(scene, si.shape_index, active)
             unbroken &= (edges == 2) | ((here == viewer) & (viewer != NONE))
             row += dr.select(unbroken & (edges > 2), UInt32(1), 0)
             viewer = UInt32(here)

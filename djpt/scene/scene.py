@@ -28,6 +28,7 @@ from djpt.scene.lights import BSDFs, Lights
 from djpt.scene.media_placement import Media, absorbing_sides, all_sides
 from djpt.scene.mitsuba_api import MitsubaScene
 from djpt.scene.silhouettes import Silhouettes
+from djpt.scene.touching_shapes import Bodies
 from djpt.sensors import Sensor
 from djpt.shapes import Shape
 from djpt.shapes.numbering import merged_last
@@ -217,6 +218,7 @@ class Scene(MitsubaScene):
         self._prepare()
         self.camera_medium = UInt32(self.media.vacuum) if self.media else None
         self.near_clip_fraction = Float(0)
+        self.bodies: Bodies | None = None
         for shape in self._shapes:
             shape.used_in(self)
         note_latest(self)
@@ -345,6 +347,7 @@ class Scene(MitsubaScene):
         sensor: Sensor | None = None,
         near_clip_fraction: Float | None = None,
         silhouettes_of: Sequence[Shape] | None = None,
+        bodies: Bodies | None = None,
     ) -> Scene:
         """A view of this scene with other parts, or the scene itself if nothing changes.
 
@@ -356,10 +359,11 @@ class Scene(MitsubaScene):
             sensor: The sensor that rays come from: it tells where they start, and in which medium.
             near_clip_fraction: How far from the sensor its rays start: see `Sensor.near_clip_fraction`.
             silhouettes_of: The shapes whose silhouettes are followed.
+            bodies: The shapes that derivatives take for parts of one body.
         """
         lights = self.lights.replace(lookup, emitter_choice)
         more_media = all_media and self.media is not self.every_medium
-        given = (geometry, sensor, near_clip_fraction, silhouettes_of)
+        given = (geometry, sensor, near_clip_fraction, silhouettes_of, bodies)
         if lights is self.lights and not more_media and all(part is None for part in given):
             return self
         view = copy.copy(self)
@@ -375,6 +379,8 @@ class Scene(MitsubaScene):
             view.geometry = geometry
         if silhouettes_of is not None:
             view.silhouettes = view.silhouettes.following(silhouettes_of)
+        if bodies is not None:
+            view.bodies = bodies
         if near_clip_fraction is not None:
             view.near_clip_fraction = near_clip_fraction
         if more_media:

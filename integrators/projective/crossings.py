@@ -19,7 +19,9 @@ from typing import Any
 import drjit as dr
 
 from djpt.core.records import BSDFFlags, Ray3f, SurfaceInteraction3f, has_flag
+from djpt.dispatch.family import NONE
 from djpt.integrators.projective.kept import keep
+from djpt.integrators.projective.self_views import body_of
 from djpt.integrators.projective.smooth_chains import Chains, side_of
 from djpt.integrators.projective.strips import beside_outline
 from djpt.integrators.projective.wedges import clear_of_wedges
@@ -65,7 +67,7 @@ class Lines:
         meetings: whether curves count in which the surfaces meet that the rays hit first.
         outlines: where outlines count of what they hit first.
         start: the points where the rays begin, attached, if they are those of rough surfaces.
-        viewer: the numbers of the shapes there, if they take rays along by which they see themselves: see `self_views`.
+        viewer: the numbers of the bodies there, if they take rays along by which they see themselves: see `self_views`.
     """
 
     rays: Line
@@ -252,7 +254,7 @@ class Edge:
             return ray
         edge, t = (dr.detach(v) for v in (dr.select(self.first_in_front, self.first[0].t, self.second[0].t), si.t))
         rest = dr.select(dr.isfinite(t), 1 - edge / t, Float(1))
-        along = si.is_valid() & (si.shape_index == viewer)
+        along = (viewer != NONE) & (body_of(self.chains.scene, si.shape_index, si.is_valid()) == viewer)
         share = dr.select(along, Float(1), dr.select(self.meet, Float(0), rest))
         direct = self.active & (self.link == 0)
         start = dr.detach(ray.o)

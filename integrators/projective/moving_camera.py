@@ -21,7 +21,7 @@ from djpt.integrators.projective.first_vertex import FirstVertex
 from djpt.integrators.projective.outlines import Outlines
 from djpt.integrators.projective.spread import BELOW_ONE, hammersley, lens_points, spread
 from djpt.jit.types import Bool, Color3f, Float, Point2f, TensorXf, UInt32
-from djpt.shapes.silhouettes.foreground import foreground
+from djpt.shapes.silhouettes.foreground import foreground, nothing_at
 from djpt.shapes.silhouettes.seams import turns_dark
 
 __all__ = ["Samples", "at_borders", "parts_of_image", "within"]
@@ -231,7 +231,7 @@ def at_outlines(samples: Samples) -> TensorXf:
             start = ss.toward_viewer().spawn_ray().o
             sight = Ray3f(ds.p, start - ds.p, maxt=Float(1 - SHADOW_EPSILON), medium=scene.camera_medium)
             left, medium = way_through(scene, sampler, sight, active & (importance > 0))
-            active &= dr.max(left) > 0
+            active &= (dr.max(left) > 0) & nothing_at(scene, ss, active)
             beyond = ss.spawn_ray()
             beyond.medium = medium
             paths, indirect = samples.integrator, samples.indirect

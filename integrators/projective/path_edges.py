@@ -21,7 +21,7 @@ from djpt.dispatch.family import NONE
 from djpt.integrators.projective.crossings import PRECISION, Lines, edges_on_lines
 from djpt.integrators.projective.detail import seen_through
 from djpt.integrators.projective.kept import keep
-from djpt.integrators.projective.self_views import MOST_FOLLOWED, self_viewer
+from djpt.integrators.projective.self_views import MOST_FOLLOWED, body_of
 from djpt.integrators.projective.smooth_chains import MOST_CHAIN_LINKS, Chains, random_turns
 from djpt.integrators.projective.spread import spread
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
@@ -50,7 +50,7 @@ class Arrival:
     link: UInt32
     """The number of the ray that arrives, counted from 0."""
     viewer: UInt32
-    """The number of the shape where the first ray begins, if it takes rays along by which it sees itself."""
+    """The number of the body where the first ray begins, if it takes rays along by which it sees itself."""
 
     @staticmethod
     def along(o: Point3f, d: Vector3f, from_camera: Bool, none: UInt32, viewer: UInt32) -> Arrival:
@@ -142,7 +142,7 @@ def direction(scene: Any, si: SurfaceInteraction3f, sampler: Any, active: Bool) 
 def walk(integrator, scene, sampler, ray, weight):  # type: ignore[no-untyped-def]
     """A path from the camera, of whose rough surfaces one is chosen.
 
-    Returns how the path arrives there, and at the rough surface before; the number of the shape there if it takes rays
+    Returns how the path arrives there, and at the rough surface before; the number of the body there if it takes rays
     along, else `NONE`; the weight, the number of edges up to there, whether the first surface of the path was smooth,
     and where there is such a path.
     """
@@ -168,8 +168,9 @@ def walk(integrator, scene, sampler, ray, weight):  # type: ignore[no-untyped-de
         count += dr.select(sees, UInt32(1), 0)
         chosen = sees & (sampler.next_1d() * Float(count) <= 1)
         here, before = way.where(chosen, here), way_before.where(chosen, before)
-        row = dr.select((way.link == 0) & (way.viewer == si.shape_index) & (way.viewer != NONE), row + 1, 0)
-        viewer = self_viewer(scene, si.shape_index, active & (row < MOST_FOLLOWED))
+        same = (way.viewer != NONE) & (way.viewer == body_of(scene, si.shape_index, active))
+        row = dr.select((way.link == 0) & same, row + 1, 0)
+        viewer = body_of(scene, si.shape_index, active & (row < MOST_FOLLOWED))
         kept_viewer = dr.select(chosen, viewer, kept_viewer)
         kept, edges = dr.select(chosen, β, kept), dr.select(chosen, depth, edges)
 

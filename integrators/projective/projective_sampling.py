@@ -27,7 +27,7 @@ from djpt.integrators.projective.kept import keep
 from djpt.integrators.projective.path_edges import path_edges
 from djpt.integrators.projective.reattach import delta_lights, has_mirrors
 from djpt.integrators.projective.receivers import followed, only_lamps_shine, outlined, shadowed_lamps
-from djpt.integrators.projective.self_views import Approach
+from djpt.integrators.projective.self_views import Approach, with_bodies
 from djpt.integrators.projective.shadows import LampShadows, ShadowEdges
 from djpt.integrators.projective.smooth_chains import Chains
 from djpt.integrators.projective.spread import lens_points, spread
@@ -41,7 +41,7 @@ from djpt.rendering.gradients.unproven import moves
 from djpt.samplers.base import Sampler
 from djpt.scene.scene import Scene, find_sensor
 from djpt.sensors.base import Sensor
-from djpt.shapes.silhouettes.foreground import foreground, toward_viewer
+from djpt.shapes.silhouettes.foreground import foreground, nothing_at, toward_viewer
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 from djpt.textures.patches import Patches, have_patches
 
@@ -224,6 +224,7 @@ class PSIntegrator(RBIntegrator):
                 camera = apart.rest
                 if nothing_else(scene, camera):
                     return total
+            scene = self._with_bodies(scene, camera)
             if self.radiative_backprop and within:
                 total += super().render_forward(scene, params, camera, seed, within)
             with dr.resume_grad():
@@ -250,6 +251,7 @@ class PSIntegrator(RBIntegrator):
                 camera = apart.rest
                 if nothing_else(scene, camera):
                     return
+            scene = self._with_bodies(scene, camera)
             if self.radiative_backprop and within:
                 super().render_backward(scene, params, grad_in, camera, seed, within)
             with dr.resume_grad():
@@ -263,7 +265,14 @@ class PSIntegrator(RBIntegrator):
         within, _, _ = self.counts(camera, spp)
         if (self.radiative_backprop and within) or camera_apart(self, scene, camera, spp, forward=False) is not None:
             return None
-        return self.render_ad(scene, sensor, seed, spp, dr.ADMode.Backward)
+        return self.render_ad(self._with_bodies(scene, camera), sensor, seed, spp, dr.ADMode.Backward)
+
+    def _with_bodies(self, scene: Scene, camera: Sensor) -> Scene:
+        """The scene with bodies, if surfaces see any shapes but lamps."""
+        if self.max_depth <= 2 or self.direct_light_only or not moves(scene, camera):
+            return scene
+        found: Scene = with_bodies(scene, bool(camera.attached_names()) or has_mirrors(scene))
+        return found
 
     def _in_light_of_emitters(self) -> PSIntegrator:
         """The integrator with no other light."""
@@ -367,6 +376,10 @@ class PSIntegrator(RBIntegrator):
         # By paths of two edges, other surfaces see lamps alone; what stays shows them no edges but in mirrors.
         seen, several = scene.silhouette_shapes(), self.max_depth > 2
         seen = seen if several else [shape for shape in seen if shape.emitter() is not None]
+        # Of a body the lines from its own points sweep over all edges.
+        slid_over = scene.bodies.moving if scene.bodies is not None else ()
+        along = [scene.geometry.contents.shapes[number] for number in slid_over]
+        seen = [*seen, *(shape for shape in along if shape not in seen)]
         meetings = shapes_meet(scene, seen)
         if indirect and not self.direct_light_only and ((mirrors and several) or meetings or have_patches(seen)):
             sampler, _ = self.prepare(camera, PATH_SEED ^ seed, indirect, self.aov_names())
@@ -455,7 +468,7 @@ class PSIntegrator(RBIntegrator):
         In narrow wedges what is seen on both sides is looked at off the edge, and isn't where rays hit it. Of textures
         that jump, silhouettes show what is at the inner border of the strip `ss.strip`.
         """
-        front, known = foreground(scene, scene.silhouette_shapes(), ss, active)
+        front, known = foreground(scene, scene.silhouette_shapes(), ss, active & nothing_at(scene, ss, active))
         behind = self.first_hit(scene, ss.spawn_ray(), known, from_sensor)
         if has_strips(scene):
             patches = Patches(scene.geometry.contents.shapes)

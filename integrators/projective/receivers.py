@@ -21,6 +21,7 @@ from djpt.integrators.projective.kept import keep
 from djpt.integrators.projective.self_views import MOST_FOLLOWED, Approach, sees_itself
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.scene.intersecting_shapes import between, is_sphere
+from djpt.shapes.silhouettes.foreground import nothing_at
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
 __all__ = ["Receiver", "followed", "light_of_lamps", "lit_receivers", "only_lamps_shine", "shadowed_lamps"]
@@ -148,7 +149,7 @@ def lit_receivers(
         # It starts ahead of a point that isn't exact, or beside it, and ends at the same place.
         ray.d = dr.fma(ss.n, -ss.gap * dr.rcp(ds.dist), ray.d)
         ray.maxt = (ds.dist - dr.dot(ray.o - ss.p, ss.d)) * (1 - SHADOW_EPSILON)
-        lit = Bool(active) & dr.any(arriving != 0) & ~scene.ray_test(ray, active)
+        lit = Bool(active) & dr.any(arriving != 0) & ~scene.ray_test(ray, active) & nothing_at(scene, ss, active)
         importance, place, edges, reached, approach = integrator.sample_viewer(
             scene, sensor, ss, integrator.max_depth, sampler, lit
         )

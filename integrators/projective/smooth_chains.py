@@ -16,7 +16,7 @@ from djpt.core.records import BSDFContext, BSDFFlags, Ray3f, RayFlags, SurfaceIn
 from djpt.dispatch.family import NONE
 from djpt.integrators.projective.carried_rays import onward_direction
 from djpt.integrators.projective.reattach import attached_ray, attached_wi
-from djpt.integrators.projective.self_views import following
+from djpt.integrators.projective.self_views import body_of, following
 from djpt.jit.frozen import recording
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.scene.intersecting_shapes import is_convex
@@ -188,13 +188,13 @@ class Chains:
             link: the number of the link.
             active: the lanes that matter.
             previous: where first rays start, attached.
-            viewer: the numbers of the shapes there, if they take rays along: see `self_views`.
+            viewer: the numbers of the bodies there, if they take rays along: see `self_views`.
         """
         along = Bool(False)
         if previous is not None and viewer is not None:
             sees = active & (viewer != NONE)
             first = self.hit(dr.detach(ray), 0, sees)
-            along = sees & first.is_valid() & (first.shape_index == viewer)
+            along = sees & (body_of(self.scene, first.shape_index, first.is_valid()) == viewer)
             ray = following(ray, previous, along)
         for number in range(self.longest):
             here = active & (number < link)

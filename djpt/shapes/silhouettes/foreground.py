@@ -11,10 +11,13 @@ from djpt.core.records import RAY_EPSILON, Ray3f, RayFlags, SurfaceInteraction3f
 from djpt.jit.types import Bool, Float, Normal3f, Point3f, Vector3f
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
-__all__ = ["clearance", "foreground", "seen_at", "toward_viewer"]
+__all__ = ["clearance", "foreground", "nothing_at", "seen_at", "toward_viewer"]
 
 LEAST_COSINE = 1e-5
 """The least cosine of a viewer's direction with a shading normal that is bent towards it."""
+
+CLEAR = 0.05
+"""How far beside a silhouette other surfaces are looked for, relative to how much of the line of sight is."""
 
 HEIGHTS = 2
 """How far above the other surface of a narrow wedge points are clear of it, in heights at which rays leave."""
@@ -54,6 +57,19 @@ def foreground(
     si.sh_frame = dr.select(ss.unbent, si.sh_frame, bent_frame(si, ss.d, side))
     si.wi = si.sh_frame.to_local(-ss.d)
     return si, found & on_shape
+
+
+def nothing_at(scene: Any, ss: SilhouetteSample3f, active: Bool | bool) -> Bool:
+    """Whether no other surface is where silhouettes of curved shapes are.
+
+    Rays start ahead of these and behind them, beyond what would be there, such as the floor that a tube stands on. The
+    curve in which both meet isn't a silhouette; where surfaces meet, random lines find it.
+    """
+    start, end = ss.toward_viewer().spawn_ray().o, ss.spawn_ray().o
+    # Clear of the shape itself.
+    beside = start + ss.n * (CLEAR * dr.norm(end - start))
+    skips = active & (ss.offset > 0)
+    return ~(skips & scene.ray_test(Ray3f(beside, end - start, maxt=Float(1)), skips))
 
 
 def toward_viewer(si: SurfaceInteraction3f, d: Vector3f) -> SurfaceInteraction3f:
