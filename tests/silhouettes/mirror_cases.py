@@ -178,7 +178,11 @@ def between_walls() -> dict[str, Any]:
     }
 
 
-for motion, move in (("turn", turn_head), ("field of view", edit("sensor.x_fov", 20)), ("orbit", orbit)):
+WAYS = {
+    **{"turn": turn_head, "field of view": edit("sensor.x_fov", 20)},
+    **{"orbit": orbit, "step aside": shift("sensor.to_world")},
+}
+for motion, move in WAYS.items():
     CASES[f"a camera, {motion}: a mirror between walls that touch"] = Case(
         between_walls, move, PRB, depth=4, step=0.005, spp=1024, spp_difference=65536
     )

@@ -37,6 +37,8 @@ QUICK = {
     "a smooth octahedron turns before a low lamp": "prb_projective",
     "the shadow of a ball in the light of a point": "direct_projective",
     "a cup that a floor cuts": "direct_projective",
+    "a tube on a floor": "direct_projective",
+    "a ball that a floor cuts, indirect light": "prb_projective",
     "a camera, turn: a furrow": "direct_projective",
     "the shadow of strands in the light of a point": "direct_projective",
 }

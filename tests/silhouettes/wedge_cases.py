@@ -51,6 +51,18 @@ def a_cup(height: float, light: dict[str, Any], bsdf: dict[str, Any] = WHITE) ->
     return {"moving": cup(height, bsdf), "floor": FLOOR, "light": light, "sensor": ASIDE}
 
 
+def a_tube(light: dict[str, Any], table: bool = False) -> dict[str, Any]:
+    """A tube that stands on a floor, or on a table above it."""
+    tube = {"type": "cylinder", "p0": [0, 0, 0], "p1": [0, 0, 0.9], "radius": 0.7, "bsdf": WHITE}
+    under = {"floor": FLOOR}
+    if table:
+        under = {
+            "table": {**FLOOR, "to_world": T().scale(1.5)},
+            "floor": {**FLOOR, "to_world": T().translate([0, 0, -1]).scale(6)},
+        }
+    return {"moving": tube, **under, "light": light, "sensor": ASIDE}
+
+
 def a_furrow_in_a_mirror() -> dict[str, Any]:
     mirror = {"type": "rectangle", "to_world": T().translate([0, 0, 6]).rotate([1, 0, 0], 180).scale(4)}
     seen = sensor((0.8, -3.2, 1), fov=26)
@@ -66,6 +78,10 @@ CASES: dict[str, Case] = {
     "a furrow": Case(a_furrow, slide, step=0.02),
     "a furrow, indirect light": Case(a_furrow, slide, PRB, depth=4, step=0.02),
     "a furrow in a mirror": Case(a_furrow_in_a_mirror, slide, PRB, depth=3, step=0.02),
+    "a ball that a floor cuts, indirect light": Case(a_ball_in_a_floor, MOVE, PRB, depth=4, step=0.02),
+    "a tube on a floor": Case(lambda: a_tube(SKY), MOVE, step=0.02),
+    "a tube on a floor, indirect light": Case(lambda: a_tube(SKY), MOVE, PRB, depth=4, step=0.02),
+    "a tube on a table": Case(lambda: a_tube(LOW, table=True), MOVE, step=0.02),
     "a cup on a floor": Case(lambda: a_cup(0.0, LOW), slide, step=0.02),
     "a cup that a floor cuts, indirect light": Case(lambda: a_cup(-0.2, SKY), slide, PRB, depth=4, step=0.02),
     "a cup that a floor cuts": Case(lambda: a_cup(-0.2, SKY), slide, step=0.02),
@@ -75,5 +91,6 @@ for motion in ("step aside", "turn"):
     CASES |= {
         f"a camera, {motion}: a ball that a floor cuts": Case(a_ball_in_a_floor, MOTIONS[motion], step=0.02),
         f"a camera, {motion}: a furrow": Case(a_furrow, MOTIONS[motion], step=0.02),
+        f"a camera, {motion}: a tube on a floor": Case(lambda: a_tube(SKY), MOTIONS[motion], step=0.02),
         f"a camera, {motion}: a cup on a floor": Case(lambda: a_cup(0.0, SKY), MOTIONS[motion], step=0.02),
     }
