@@ -13,7 +13,7 @@ from djpt.scene.intersecting_shapes import CLOSE
 
 __all__ = ["Bodies", "in_touch"]
 
-MOST_SHAPES = 1 << 12
+MOST_SHAPES = 1 << 10
 """The number of shapes of which it is looked for who touches whom."""
 
 
