@@ -1,4 +1,4 @@
-"""Shapes that touch each other, and so are parts of one body."""
+"""Shapes that touch each other, or nearly so, and are parts of one body."""
 
 from __future__ import annotations
 
@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 
 from djpt.jit.types import UInt32
-from djpt.scene.intersecting_shapes import CLOSE
 
 __all__ = ["Bodies", "in_touch"]
+
+NEAR = 0.1
+"""The gap that counts as none, as a fraction of the smaller shape."""
 
 MOST_SHAPES = 1 << 10
 """The number of shapes of which it is looked for who touches whom."""
@@ -30,12 +32,13 @@ class Bodies:
 def in_touch(shapes: Sequence[Any]) -> list[int]:
     """For each of some shapes the first one that it is in touch with, directly or by way of others; else itself.
 
-    Shapes count as touching if the boxes around them do. Of more than `MOST_SHAPES` shapes all are in touch.
+    Shapes count as touching if the boxes around them do, but for a gap. Points of paths pass others at the distance of
+    the gap, which is noise enough. Of more than `MOST_SHAPES` shapes all are in touch.
     """
     if len(shapes) > MOST_SHAPES or not shapes:
         return [0] * len(shapes)
     low, high = (np.array(ends) for ends in zip(*(shape.world_box() for shape in shapes), strict=True))
-    slack = CLOSE * np.linalg.norm(high - low, axis=1)
+    slack = NEAR * np.linalg.norm(high - low, axis=1)
     first = np.arange(len(shapes))
     for i in range(1, len(shapes)):
         gap = np.maximum(low[:i] - high[i], low[i] - high[:i]).max(axis=1)
