@@ -65,6 +65,8 @@ def nothing_at(scene: Any, ss: SilhouetteSample3f, active: Bool | bool) -> Bool:
     Rays start ahead of these and behind them, beyond what would be there, such as the floor that a tube stands on. The
     curve in which both meet isn't a silhouette; where surfaces meet, random lines find it.
     """
+    if not any(shape.silhouette().offset > 0 for shape in scene.silhouettes.outlined()):
+        return Bool(True)
     start, end = ss.toward_viewer().spawn_ray().o, ss.spawn_ray().o
     # Clear of the shape itself.
     beside = start + ss.n * (CLEAR * dr.norm(end - start))
