@@ -41,6 +41,9 @@ DIFFERENCES = 8
 GUIDE = {"proj_seed_spp": 512, "octree_max_depth": 7}
 """The settings of guides for so few pixels: derivatives are right with any."""
 
+BLUR = 3
+"""The standard deviation of blurs in pixels."""
+
 CRITICAL = 4.0
 """The deviate up to which a derivative is right."""
 
@@ -99,7 +102,9 @@ class Cell:
     """Of differences, whose images take less time; 0: `spp`."""
     camera: Callable[[], Node] = camera_above
     weights: NDArray[np.float64] = field(default_factory=lambda: WEIGHTS, repr=False)
-    """One for each number of the image."""
+    """One for each number of the image, ..."""
+    picture: float = 0.0
+    """... unless this is a theta: then weights are the blurred residual against a picture of the scene with it."""
     settings: Mapping[str, int] = field(default_factory=lambda: GUIDE)
     """Attributes of the integrator."""
     accuracy: Accuracy = Accuracy()
@@ -178,6 +183,7 @@ class Scene:
         # The same light, by kernels that compile faster.
         plain = {"type": "volpath" if "vol" in cell.integrator["type"] else "path"}
         self.plain = djpt.load_dict({**plain, "max_depth": cell.integrator.get("max_depth", 2)})
+        self.weights = self.residual(cell.picture) if cell.picture else cell.weights
 
     def image(self, theta: Float, seed: int, integrator: Any = None) -> Any:
         """The image, by the cell's integrator or another one."""
@@ -188,7 +194,7 @@ class Scene:
 
     def loss(self, theta: Float, seed: int, integrator: Any = None) -> Any:
         """The weighted sum of pixels."""
-        return dr.sum(self.image(theta, seed, integrator) * TensorXf(self.cell.weights.astype(np.float32)), axis=None)
+        return dr.sum(self.image(theta, seed, integrator) * TensorXf(self.weights.astype(np.float32)), axis=None)
 
     def forward(self, seed: int) -> float:
         """The derivative by forward mode."""
@@ -210,9 +216,25 @@ class Scene:
         found: NDArray[np.float64] = (ahead - behind) / (2 * step)
         return found
 
+    def residual(self, picture: float) -> NDArray[np.float64]:
+        """The difference of a picture of the scene with a theta to one with 0, blurred; its mean size is 1."""
+        here, there = (np.array(self.image(Float(x), 77, self.plain), np.float64) for x in (0.0, picture))
+        found = blurred(there - here)
+        return found / np.mean(np.abs(found))
+
     def brightness(self) -> float:
         """The loss itself."""
         return float(np.array(self.loss(Float(0), 1, self.plain)).ravel()[0])
+
+
+def blurred(image: NDArray[np.float64]) -> NDArray[np.float64]:
+    """An image seen out of focus: convolved with a Gaussian whose standard deviation is `BLUR` pixels."""
+    x = np.arange(-3 * BLUR, 3 * BLUR + 1)
+    kernel = np.exp(-0.5 * (x / BLUR) ** 2)
+    padded = np.pad(image, [(3 * BLUR,) * 2] * 2 + [(0, 0)], mode="edge")
+    for axis in (0, 1):
+        padded = np.apply_along_axis(np.convolve, axis, padded, kernel / kernel.sum(), "valid")
+    return padded
 
 
 def moving() -> Float:

@@ -458,7 +458,6 @@ EFFORTS: dict[str, dict[str, Any]] = {
     "a light that moves: a lamp, cylinder, direct_projective": MUCH,
     "a light that moves: a lamp, cylinder, prb_projective": MUCH,
     "a light that moves: a lamp, mesh, prb_projective": MUCH,
-    "a camera before a scene: overlapping bodies, principal point, prb_projective": {"seeds": 2 * MOST_SEEDS},
     "a light: sunsky-large sun, turbidity, prb": {**MUCH, "spp": 32768},
 }
 """More samples and seeds for derivatives with much noise."""

@@ -17,13 +17,21 @@ SCENES = {
     "a textured mesh, turn, direct_projective": (256, 12),
     "soft shadows, turn, direct_projective": (256, 12),
     "a mirror, aside, prb_projective": (16, 8),
+    "a ball of glass, aside, prb_projective": (512, 8),
 }
 """The samples per pixel, and the number of derivative images."""
+
+WINDOWS = {"a ball of glass, aside, prb_projective": (32, 16, 16, 8)}
+"""The columns and rows, and their numbers, of crop windows: within the ball, whose outline is noisy."""
 
 
 def map_of(name: str, **settings: int) -> BlockMap:
     spp, seeds = SCENES[name]
     cell = replace(CELLS[f"a camera before a scene: {name}"], spp=spp, spp_difference=1024)
+    if name in WINDOWS:
+        camera, sides = cell.camera(), ("crop_offset_x", "crop_offset_y", "crop_width", "crop_height")
+        film = {**camera["film"], **dict(zip(sides, WINDOWS[name], strict=True))}
+        cell = replace(cell, camera=lambda: {**camera, "film": film}, spp_difference=16384)
     return block_map(cell, seeds, 2 * seeds, STEP, **settings)
 
 

@@ -26,15 +26,11 @@ SCENES = (
 )
 
 
-LONGEST = ("a camera before a scene: a ball of glass", "a camera before a scene: a mirror")
-"""Cells each seed of which takes half a minute: sixteen would meet the limit of a test, which is ten minutes."""
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("label", CELLS)
 def test_no_derivative_is_wrong(label: str) -> None:
-    """Of a quarter of the seeds that the page is made from, or of four."""
-    outcome = CELLS[label].measured(4 if label.startswith(LONGEST) else MOST_SEEDS // 4)
+    """Of an eighth of the seeds that the page is made from."""
+    outcome = CELLS[label].measured(MOST_SEEDS // 8)
     assert outcome.verdict in ("right", "refused", "noisy"), outcome
 
 
