@@ -17,7 +17,7 @@ SCENES = {
     "a textured mesh, turn, direct_projective": (256, 12),
     "soft shadows, turn, direct_projective": (256, 12),
     "a mirror, aside, prb_projective": (16, 8),
-    "a ball of glass, aside, prb_projective": (512, 8),
+    "a ball of glass, aside, prb_projective": (256, 6),
 }
 """The samples per pixel, and the number of derivative images."""
 
