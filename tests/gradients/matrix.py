@@ -448,7 +448,11 @@ def differentiable(nodes: Callable[[], Node], start: str) -> list[str]:
 
 
 MUCH: dict[str, Any] = {"spp": 16384, "seeds": 2 * MOST_SEEDS}
+BY_RESIDUAL: dict[str, Any] = {"picture": 0.3}
 EFFORTS: dict[str, dict[str, Any]] = {
+    "a camera in media: fog, turn, prbvolpath": BY_RESIDUAL,
+    "a camera in media: fog, x_fov, prbvolpath": BY_RESIDUAL,
+    "a camera in media: fog, a lens, x_fov, volpath": BY_RESIDUAL,
     "a material that moves: rough metal, sphere, sky, prb_projective": MUCH,
     "a material that moves: brushed metal, sphere, lamp, direct_projective": MUCH,
     "a material that moves: brushed metal, mesh, map, direct_projective": MUCH,
@@ -460,7 +464,7 @@ EFFORTS: dict[str, dict[str, Any]] = {
     "a light that moves: a lamp, mesh, prb_projective": MUCH,
     "a light: sunsky-large sun, turbidity, prb": {**MUCH, "spp": 32768},
 }
-"""More samples and seeds for derivatives with much noise."""
+"""More samples and seeds for derivatives with much noise, or weights by which less cancels."""
 
 
 def all_cells() -> dict[str, Cell]:
