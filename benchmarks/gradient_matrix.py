@@ -27,8 +27,8 @@ error says what would be wrong and what to do; *wrong* if it is none of these.
 
 Of cameras before scenes (64 x 64 pixels; `tests/gradients/camera_scenes.py`) more is asked: 1 % or z below 4, with
 standard errors below 2 %. Their pixels are weighted by the blurred residual of the image against a picture from where
-the camera would be a little later: the derivative is that of the loss that a search for the camera begins with. So are
-those of cameras in fog that turn or zoom.
+the camera would be a little later: the derivative is that of the loss that a search for the camera begins with. Pixels
+of cameras in fog that turn or zoom have such weights, too.
 
 `python benchmarks/gradient_matrix.py` made this page with djpt {version}, its cells at different times; `make check`
 measures them again, with at most 8 seeds. It also draws scenes at random (`tests/gradients/random_scenes.py`), and

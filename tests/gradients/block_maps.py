@@ -6,7 +6,7 @@ right sum. Its map has not.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -66,7 +66,8 @@ def block_map(cell: Cell, seeds: int, seeds_of_differences: int, step: float, **
         step: That of differences: small enough for edges to stay in a block.
         settings: Attributes of the integrator.
     """
-    scene = Scene(cell)
+    # Maps have no weights.
+    scene = Scene(replace(cell, picture=0.0))
     for name, value in settings.items():
         setattr(scene.scene.integrator(), name, value)
     found, expected = Batches(), Batches()

@@ -230,12 +230,12 @@ VIEWS = {
     "a textured mesh": View(textured_mesh, PINHOLE, MOTIONS | ZOOM, (DIRECT,)),
     "a ball of glass": View(glass, PINHOLE, MOTIONS | ZOOM, (paths(6),), step=0.02, spp_difference=4096),
     "overlapping bodies": View(overlaps, PINHOLE, MOTIONS | ZOOM, (paths(3),)),
-    "soft shadows": View(soft_shadows, PINHOLE, MOTIONS | ZOOM, (DIRECT, paths(2)), step=0.05, spp_difference=4096),
+    "soft shadows": View(soft_shadows, PINHOLE, MOTIONS | ZOOM, (DIRECT, paths(2)), spp_difference=4096),
     "rough metals": View(rough_bodies, PINHOLE, MOTIONS | ZOOM, (paths(3),)),
     "a mirror": View(mirror, PINHOLE, MOTIONS | ZOOM, (paths(4),), step=0.025, spp_difference=8192),
-    "a room": View(room, INSIDE, MOTIONS | ZOOM, (paths(6),), step=0.05, spp_difference=8192),
+    "a room": View(room, INSIDE, MOTIONS | ZOOM, (paths(6),), spp_difference=8192),
     "a lens": View(overlaps, THICK, MOTIONS | LENS, (DIRECT,)),
-    "a room in fog": View(foggy, INSIDE, MOTIONS | ZOOM, (IN_FOG,), step=0.05, spp_difference=8192),
+    "a room in fog": View(foggy, INSIDE, MOTIONS | ZOOM, (IN_FOG,), spp_difference=8192),
     "instances": View(instances, WIDE, MOTIONS | FISHEYE, (paths(2),)),
 }
 
