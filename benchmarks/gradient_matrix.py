@@ -31,7 +31,7 @@ the camera would be a little later: the derivative is that of the loss that a se
 of cameras in fog that turn or zoom have such weights, too.
 
 `python benchmarks/gradient_matrix.py` made this page with djpt {version}, its cells at different times; `make check`
-measures them again, with at most 8 seeds. It also draws scenes at random (`tests/gradients/random_scenes.py`), and
+measures them again, with 4 seeds each. It also draws scenes at random (`tests/gradients/random_scenes.py`), and
 compares whole images of derivatives with differences, block by block (`tests/gradients/block_maps.py`): sums hide what
 cancels.
 

@@ -21,7 +21,7 @@ from djpt.errors import ParameterError, RenderError
 from djpt.jit.types import Array4f, Float, TensorXf
 from djpt.validation.gradcheck.check import judged, standard_error
 
-__all__ = ["MOST_SEEDS", "Accuracy", "Cell", "Edit", "Node", "Outcome", "Scene", "camera_above", "moved"]
+__all__ = ["MOST_SEEDS", "SEEDS", "Accuracy", "Cell", "Edit", "Node", "Outcome", "Scene", "camera_above", "moved"]
 
 SIZE = 12
 COLUMN = np.linspace(-1, 1, SIZE)
