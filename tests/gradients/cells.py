@@ -21,7 +21,19 @@ from djpt.errors import ParameterError, RenderError
 from djpt.jit.types import Array4f, Float, TensorXf
 from djpt.validation.gradcheck.check import judged, standard_error
 
-__all__ = ["MOST_SEEDS", "SEEDS", "Accuracy", "Cell", "Edit", "Node", "Outcome", "Scene", "camera_above", "moved"]
+__all__ = [
+    "GUIDE",
+    "MOST_SEEDS",
+    "SEEDS",
+    "Accuracy",
+    "Cell",
+    "Edit",
+    "Node",
+    "Outcome",
+    "Scene",
+    "camera_above",
+    "moved",
+]
 
 SIZE = 12
 COLUMN = np.linspace(-1, 1, SIZE)
@@ -98,6 +110,7 @@ class Cell:
     integrator: Node
     step: float = 0.08
     spp: int = 2048
+    """0: those of `settings`."""
     spp_difference: int = 0
     """Of differences, whose images take less time; 0: `spp`."""
     camera: Callable[[], Node] = camera_above

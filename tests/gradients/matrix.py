@@ -18,7 +18,7 @@ import djpt
 from djpt.core.transforms import ScalarTransform4f as T
 from djpt.jit.types import Float, TensorXf
 from tests.gradients.camera_scenes import cameras_of_scenes
-from tests.gradients.cells import MOST_SEEDS, Cell, Edit, Node, camera_above, moved
+from tests.gradients.cells import GUIDE, MOST_SEEDS, Cell, Edit, Node, camera_above, moved
 from tests.kit import emitters, materials
 from tests.silhouettes.test_projective import globe
 
@@ -449,6 +449,12 @@ def differentiable(nodes: Callable[[], Node], start: str) -> list[str]:
 
 MUCH: dict[str, Any] = {"spp": 16384, "seeds": 2 * MOST_SEEDS}
 BY_RESIDUAL: dict[str, Any] = {"picture": 0.3}
+WITHIN: dict[str, Any] = {
+    "spp": 0,
+    "spp_difference": 8192,
+    "settings": {**GUIDE, "sppc": 131072, "sppp": 64, "sppi": 8192},
+}
+"""Most samples within surfaces, where they take little time, and have most of the noise of smooth plastic."""
 EFFORTS: dict[str, dict[str, Any]] = {
     "a camera in media: fog, turn, prbvolpath": BY_RESIDUAL,
     "a camera in media: fog, x_fov, prbvolpath": BY_RESIDUAL,
@@ -459,6 +465,7 @@ EFFORTS: dict[str, dict[str, Any]] = {
     "a material that moves: brushed metal, sphere, sky, prb_projective": MUCH,
     "a material that moves: mirror, sphere, lamp, direct_projective": MUCH,
     "a material that moves: glass, sphere, sky, prb_projective": MUCH,
+    "a material that moves: plastic, sphere, sky, prb_projective": WITHIN,
     "a light that moves: a lamp, cylinder, direct_projective": MUCH,
     "a light that moves: a lamp, cylinder, prb_projective": MUCH,
     "a light that moves: a lamp, mesh, prb_projective": MUCH,
