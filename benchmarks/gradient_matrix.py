@@ -21,7 +21,7 @@ HEAD = """# The gradient matrix
 Derivatives of small images with respect to each kind of parameter, compared with central differences. In each scene a
 number moves something or changes a parameter; the derivative is that of a weighted sum of all pixels, by forward mode.
 It is *right* if it is within 3 % of central differences, or Welch's test finds z below 4 (two steps, Richardson's
-extrapolation, images by `path` or `volpath`, 2048 to 32768 samples per pixel, 4 to 128 seeds, of differences up to
+extrapolation, images by `path` or `volpath`, 2048 to 131072 samples per pixel, 4 to 128 seeds, of differences up to
 1024); *noisy* if it is, but the standard error is more than 3 % of the derivative and 0.1 % of the sum; *refused* if an
 error says what would be wrong and what to do; *wrong* if it is none of these.
 
