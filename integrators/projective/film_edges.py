@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 import drjit as dr
+import numpy as np
 
 from djpt.core.records import Ray3f
 from djpt.errors import RenderError
@@ -14,17 +15,19 @@ from djpt.integrators.projective.detail import seen_through
 from djpt.integrators.projective.guiding import UNIFORM_SHARE, BaseGuidingDistr, OcSpaceDistr, UniformDistr, places_of
 from djpt.integrators.projective.reattach import has_mirrors
 from djpt.integrators.projective.smooth_chains import Chains, random_turns
+from djpt.jit.kernels import power_of_two
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, Vector2f
 
 __all__ = ["FilmEdges"]
 
 SHORT, LONG, PARTS = 0.25, 0.5, 8
 """The length of lines in pixels, with chains of smooth surfaces to follow a longer one, and their parts."""
-LEARNT_FROM = 1 << 18
-"""The lines that the guide learns from, at least; one per pixel if there are more."""
+FEW_LINES, MOST_LINES, ENOUGH = 1 << 14, 1 << 18, 256
+"""The lines that the guide learns from, at least one per pixel: few, and if the edges that these find count for less
+than enough of the same mass, as many as are expected to find enough, up to the most."""
 LEVELS, EXTRA = 7, (8, 128)
 """The levels of the guide's octree, and the random points in each leaf, fewer if there are many leaves."""
-MOST_EXTRA = 1 << 19
+MOST_EXTRA = 1 << 16
 """The random points for all lines that have crossed an edge; there are some leaves for each."""
 
 
@@ -47,23 +50,25 @@ class FilmEdges:
         self._guide: BaseGuidingDistr = UniformDistr()
 
     def learn(self, seed: Any) -> None:
-        """Learn where edges are, if there are chains of smooth surfaces to follow."""
+        """Learn where edges are, if there are chains of smooth surfaces to follow: from few lines, or from more.
+
+        Small lamps in mirrors show few of them an edge; an even sky in a ball shows one to every fiftieth line.
+        """
         if not self._chains.longest:
             return
         with dr.suspend_grad():
-            width, height = self._sensor.film().crop_size()
-            count = -(-LEARNT_FROM // (width * height))
-            sampler, _ = self._integrator.prepare(self._sensor, seed, count, self._integrator.aov_names())
-            points = Point3f(sampler.next_1d(), sampler.next_1d(), sampler.next_1d())
-            mass = self._across(points, Float(1), sampler)[1]
-            dr.eval(points, mass)
+            points, mass = self._random_lines(seed, FEW_LINES)
+            lines, known = dr.width(points), _effective_number(mass)
+            if known < ENOUGH and lines < MOST_LINES:
+                wanted = power_of_two(int(lines * ENOUGH / known)) if known else MOST_LINES
+                points, mass = self._random_lines(seed, min(wanted, MOST_LINES))
             found = dr.width(places_of(mass > 0))
             if not found:
                 return
             tree = OcSpaceDistr(
                 LEVELS,
                 1 << 24,
-                min(max(MOST_EXTRA // found, EXTRA[0]), EXTRA[1]),
+                min(max(power_of_two(MOST_EXTRA // found), EXTRA[0]), EXTRA[1]),
                 lambda points, sampler: (Color3f(self._across(points, Float(1), sampler)[1]),),
                 0.0,
                 0.0,
@@ -76,6 +81,16 @@ class FilmEdges:
                 # Random points of the leaves find nothing.
                 return
             self._guide = tree
+
+    def _random_lines(self, seed: Any, lines: int) -> tuple[Point3f, Float]:
+        """Random points of the cube, at least one per pixel, and the masses of the edges that their lines cross."""
+        width, height = self._sensor.film().crop_size()
+        count = -(-lines // (width * height))
+        sampler, _ = self._integrator.prepare(self._sensor, seed, count, self._integrator.aov_names())
+        points = Point3f(sampler.next_1d(), sampler.next_1d(), sampler.next_1d())
+        mass = self._across(points, Float(1), sampler)[1]
+        dr.eval(points, mass)
+        return points, mass
 
     def estimate(self, sampler: Any) -> tuple[Color3f, Point2f, Bool]:
         """The derivative of the image by random points of edges, attached, their places, and where there are any."""
@@ -111,3 +126,9 @@ class FilmEdges:
         at = Point2f(dr.detach(place(found, Float(0))))
         shown = (at.x >= 0) & (at.y >= 0) & (at.x < window.x) & (at.y < window.y)
         return value, dr.select(shown, mass, 0), at
+
+
+def _effective_number(mass: Float) -> float:
+    """The number of equal masses whose mean varies as much: the square of the sum over the sum of squares."""
+    values = np.asarray(mass, np.float64)  # summed up in one order, whatever the number of threads
+    return float(values.sum() ** 2 / np.square(values).sum()) if values.any() else 0.0
