@@ -77,6 +77,7 @@ def test_passes(monkeypatch: pytest.MonkeyPatch) -> None:
         whole = Experiment(box(16, "gaussian", of(kind)), [ALBEDO]).gradients()[ALBEDO]
         with monkeypatch.context() as patch:
             patch.setattr(passes, "STORED_SAMPLES", 3 * 256)
+            patch.setattr(splatted, "PASS_PAIRS", 3 * 256)
             patch.setattr(passes, "STORED_PIXELS", (7 * 16, 7 * 16))
             patch.setattr(splatted, "PASS_PATHS", 1000)
             split = Experiment(box(16, "gaussian", of(kind)), [ALBEDO])

@@ -25,12 +25,15 @@ SCENES = (
     "a camera before a scene: soft shadows, x_fov, direct_projective",
 )
 
+MOST_SAMPLES = 2048
+
 
 @pytest.mark.slow
 @pytest.mark.parametrize("label", CELLS)
 def test_no_derivative_is_wrong(label: str) -> None:
-    """By the fewest seeds; the page is made from as many as it takes."""
-    outcome = CELLS[label].measured(SEEDS)
+    """By the fewest seeds, and not too many samples; the page is made from as many as it takes."""
+    cell = CELLS[label]
+    outcome = replace(cell, spp=min(cell.spp, MOST_SAMPLES)).measured(SEEDS)
     assert outcome.verdict in ("right", "refused", "noisy"), outcome
 
 

@@ -235,10 +235,13 @@ def computed(samples: Samples, job: Job, band: Band, begin: int, end: int) -> li
 # ---- passes ----------------------------------------------------------------------------------
 
 
-def stored_passes(job: Job) -> Iterator[tuple[Band, int, int]]:
-    """The passes of a job whose samples are stored: (band, begin, end)."""
+def stored_passes(job: Job, most: int | None = None) -> Iterator[tuple[Band, int, int]]:
+    """The passes of a job whose samples are stored, at most so many of each pass: (band, begin, end).
+
+    The default is `STORED_SAMPLES`; there is at least one of each pixel of a band.
+    """
     for band in one_ahead(job.bands(stored_pixels(job))):
-        for begin, end in ranges(job.spp, stored_spp(job)):
+        for begin, end in ranges(job.spp, stored_spp(job, most)):
             yield band, begin, end
 
 
@@ -254,9 +257,9 @@ def stored_pixels(job: Job) -> int:
     return max(low, min(high, STORED_SAMPLES // job.spp))
 
 
-def stored_spp(job: Job) -> int:
+def stored_spp(job: Job, most: int | None = None) -> int:
     """Samples per pixel that a pass over a band may store."""
-    return max(1, STORED_SAMPLES // min(job.width * job.height, max(stored_pixels(job), job.width)))
+    return max(1, (most or STORED_SAMPLES) // min(job.width * job.height, max(stored_pixels(job), job.width)))
 
 
 def ranges(spp: int, size: int) -> Iterator[tuple[int, int]]:
