@@ -16,7 +16,7 @@ import numpy as np
 from djpt.dispatch.tables import Buffer
 from djpt.geometry.ray_queries import asked_for
 from djpt.jit.frozen import recording
-from djpt.jit.kernels import while_loop
+from djpt.jit.kernels import power_of_two, while_loop
 from djpt.jit.llvm.calls import Code, call, reason_against
 from djpt.jit.llvm.compiler import compiled
 from djpt.jit.llvm.lanes import lane_count
@@ -30,6 +30,10 @@ MOST = 2**24
 
 SHARED_BY = 4
 """As many threads may share a copy: of eight turns of a loop in one a thread has taken one."""
+
+FEWEST = 2**10
+"""The entries of a copy. Smaller tables are repeated within each, and lanes add to them in turn: one number in float
+that all lanes of a pass add to stagnates, and was 0.2 % too small after 2^21 lanes."""
 
 CHANNELS = {1: 1, 2: 2, 4: 3}
 """The channels of an entry that is tried, by its size."""
@@ -58,7 +62,20 @@ def entry_sums(buffer: Buffer, lanes: int) -> EntrySums:
         copies = min(threads, MOST // stride_of(buffer))
         if copies * SHARED_BY >= threads:
             return CalledSums(buffer, lanes, copies)
-    return ScatteredSums(buffer)
+    return ScatteredSums(buffer, lanes)
+
+
+class Repeated:
+    """The places of a table that is repeated in memory."""
+
+    def __init__(self, buffer: Buffer, lanes: int) -> None:
+        self.count = repeats_of(buffer)
+        self._turn = dr.arange(UInt32, lanes) & dr.opaque(UInt32, self.count - 1)
+        self._entries = dr.opaque(UInt32, buffer.size // buffer.entry_size)
+
+    def address(self, address: UInt32) -> UInt32:
+        """The address in the repeat whose turn it is in each lane."""
+        return dr.fma(self._turn, self._entries, address)
 
 
 class ScatteredSums:
@@ -66,16 +83,17 @@ class ScatteredSums:
 
     calls = False
 
-    def __init__(self, buffer: Buffer) -> None:
-        self._buffer, self._memory = buffer, dr.zeros(Float, buffer.size)
+    def __init__(self, buffer: Buffer, lanes: int) -> None:
+        self._buffer, self._repeated = buffer, Repeated(buffer, lanes)
+        self._memory = dr.zeros(Float, self._repeated.count * buffer.size)
 
     def add(self, entries: Sequence[Read], active: Bool) -> Bool:
         for address, entry in entries:
-            self._buffer.add_to(self._memory, address, entry, active)
+            self._buffer.add_to(self._memory, self._repeated.address(address), entry, active)
         return Bool(False)
 
     def total(self) -> Float:
-        return self._memory
+        return summed(self._buffer, self._memory, 0, self._repeated.count, 1, 0)
 
 
 class CalledSums:
@@ -86,19 +104,19 @@ class CalledSums:
     def __init__(self, buffer: Buffer, lanes: int, copies: int) -> None:
         # The last packet may have lanes beyond the last one.
         self._exist = dr.arange(UInt32, lanes) < dr.opaque(UInt32, lanes)
-        self._buffer, self._stride = buffer, stride_of(buffer)
+        self._buffer, self._stride, self._repeated = buffer, stride_of(buffer), Repeated(buffer, lanes)
         self._memory = dr.opaque(Float, 0, copies * self._stride)
-        self._words, self._copies = dr.opaque(UInt32, self._stride), dr.opaque(UInt32, copies)
+        self._words, self._copies = dr.opaque(UInt32, self._stride), copies
         self._code = function(buffer.entry_size)
 
     def add(self, entries: Sequence[Read], active: Bool) -> Bool:
-        taken, count = Bool(False), Float(self._copies)
+        taken, count = Bool(False), dr.opaque(Float, self._copies)
         active = active & self._exist
         for k in range(0, len(entries), AT_ONCE):
             indices, numbers = [], []
             for address, entry in entries[k : k + AT_ONCE]:
                 channels = [entry] if self._buffer.channels == 1 else list(entry)
-                indices.append(address)
+                indices.append(self._repeated.address(address))
                 numbers += [*channels, *[Float(0)] * (LARGEST - len(channels))]
             # A second entry of zeros changes nothing.
             numbers += [Float(0)] * (AT_ONCE * LARGEST - len(numbers))
@@ -111,16 +129,23 @@ class CalledSums:
         return taken
 
     def total(self) -> Float:
-        index, memory, copies = dr.arange(UInt32, self._buffer.size), self._memory, self._copies
-        first, stride = index + HEADER, self._words
+        return summed(self._buffer, self._memory, HEADER, self._repeated.count, self._copies, self._stride)
 
-        def body(k: UInt32, total: Float) -> tuple[UInt32, Float]:
-            return k + 1, total + dr.gather(Float, memory, dr.fma(k, stride, first))
 
-        start = dr.zeros(UInt32, self._buffer.size), dr.zeros(Float, self._buffer.size)
-        _, total = while_loop(start, lambda k, total: k < copies, body, label="entry sums")
-        dr.eval(total)
-        return total
+def summed(buffer: Buffer, memory: Float, first: int, repeats: int, copies: int, stride: int) -> Float:
+    """The sum over copies, each so many words after the one before, and over the repeats within each."""
+    index, words = dr.arange(UInt32, buffer.size) + dr.opaque(UInt32, first), dr.opaque(UInt32, buffer.size)
+    within, beyond, count = (dr.opaque(UInt32, n) for n in (repeats, stride, repeats * copies))
+
+    def body(k: UInt32, total: Float) -> tuple[UInt32, Float]:
+        copy = k // within
+        place = index + copy * beyond + (k - copy * within) * words
+        return k + 1, total + dr.gather(Float, memory, place)
+
+    start = dr.zeros(UInt32, buffer.size), dr.zeros(Float, buffer.size)
+    _, total = while_loop(start, lambda k, total: k < count, body, label="entry sums")
+    dr.eval(total)
+    return total
 
 
 def any_number(numbers: Sequence[Float]) -> Bool:
@@ -133,7 +158,12 @@ def any_number(numbers: Sequence[Float]) -> Bool:
 
 def stride_of(buffer: Buffer) -> int:
     """The words of a copy, in whole cache lines."""
-    return HEADER + -(-buffer.size // HEADER) * HEADER
+    return HEADER + -(-repeats_of(buffer) * buffer.size // HEADER) * HEADER
+
+
+def repeats_of(buffer: Buffer) -> int:
+    """How often a table stands in a copy, a power of two."""
+    return max(1, power_of_two(FEWEST * buffer.entry_size // buffer.size))
 
 
 # ---- the function ----------------------------------------------------------------------------

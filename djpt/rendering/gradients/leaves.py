@@ -233,6 +233,10 @@ class LeafTable:
         return self.leaves.entry(self.leaf, self.slot, index, active)
 
 
+REPEATS, PACKET = 64, 16
+"""The sums of a number in memory, and the lanes that add to one of them in turn: one to which all add stagnates."""
+
+
 class Accumulator:
     """The sums of the leaves' gradients: in registers of each lane, or in memory if there are many.
 
@@ -250,7 +254,8 @@ class Accumulator:
             self._starts.append(self.size)
             self.size += 0 if parameter.is_table else parameter.size
         self.in_registers = sum(not parameter.is_table for parameter in parameters) <= MAX_CHAIN
-        self._memory = None if self.in_registers else dr.zeros(Float, self.size)
+        self._memory = None if self.in_registers else dr.zeros(Float, self.size * REPEATS)
+        self._turn = dr.arange(UInt32, lanes) // PACKET % REPEATS
         # Members without a parameter point beyond the end.
         self._start_of = {
             id(leaf): Numbers([self.size if n is None else self._starts[n] for n in numbering.of(leaf)])
@@ -282,7 +287,8 @@ class Accumulator:
             else:
                 start = self._start_of[id(leaf)].at(slot)
                 for c, component in enumerate(gradient):
-                    dr.scatter_add(self._memory, component, start + c, active & (start < self.size))
+                    at = (start + c) * REPEATS + self._turn
+                    dr.scatter_add(self._memory, component, at, active & (start < self.size))
         for place, (_, _, entries) in self._tables.items():
             read = [(address, dr.grad(entry)) for leaf, address, entry in leaves.read if id(leaf) == place]
             taken = entries.add(read, active)
@@ -301,7 +307,8 @@ class Accumulator:
         if self.in_registers:
             totals = [dr.sum(s) for s in sums[: self.size]]
         else:
-            totals = [dr.gather(Float, self._memory, UInt32(i)) for i in range(self.size)]
+            memory: Any = dr.block_sum(self._memory, REPEATS)
+            totals = [dr.gather(Float, memory, UInt32(i)) for i in range(self.size)]
         dr.eval(totals)
         result: list[Any] = []
         for parameter, start in zip(self.parameters, self._starts, strict=True):

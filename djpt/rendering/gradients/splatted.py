@@ -37,10 +37,9 @@ __all__ = [
     "straight_light",
 ]
 
-PASS_PATHS, PASS_PAIRS = 2**20, 2**18
-"""Light paths of a pass, and pairs of paths that are joined, each of which adds to the sums of gradients many times.
-Each pass has sums of its own, so that they don't outgrow what they are increased by: for one pass of 2^21 pairs they
-were 0.1 % too small."""
+PASS_PATHS, PASS_PAIRS = 2**17, 2**18
+"""Light paths of a pass, and pairs of paths that are joined. Each pass has sums of its own, so that they don't outgrow
+what they are increased by: for one pass of 2^21 pairs, which add to them many times, they were 0.1 % too small."""
 
 
 def light_derivative(job: Job, parameters: list[Parameter]) -> Derivative:
