@@ -22,6 +22,7 @@ from djpt.integrators.projective.guiding import (
     GridDistr,
     OcSpaceDistr,
     UniformDistr,
+    effective_number,
     places_of,
 )
 from djpt.integrators.projective.kept import keep
@@ -162,10 +163,7 @@ class ProjectiveDetail:
         sampler = sensor.sampler().clone()
         sampler.seed(seed ^ 0x3333CCCC, TRIALS)
         points = Point3f(sampler.next_1d(), sampler.next_1d(), sampler.next_1d())
-        mass = self._mass(scene, sensor, points, sampler)
-        total, squares = dr.sum(mass), dr.sum(dr.square(mass))
-        dr.eval(total, squares)
-        return float(total[0]) ** 2 <= RARE * TRIALS * float(squares[0])
+        return effective_number(self._mass(scene, sensor, points, sampler)) <= RARE * TRIALS
 
     def init_indirect_silhouette_grid_unif(self, scene: Any, sensor: Any, seed: Any) -> None:
         """Learn a grid from a random point in each cell and round."""

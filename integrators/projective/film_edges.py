@@ -6,13 +6,19 @@ import math
 from typing import Any
 
 import drjit as dr
-import numpy as np
 
 from djpt.core.records import Ray3f
 from djpt.errors import RenderError
 from djpt.integrators.projective.crossings import PRECISION, Lines, edges_on_lines
 from djpt.integrators.projective.detail import seen_through
-from djpt.integrators.projective.guiding import UNIFORM_SHARE, BaseGuidingDistr, OcSpaceDistr, UniformDistr, places_of
+from djpt.integrators.projective.guiding import (
+    UNIFORM_SHARE,
+    BaseGuidingDistr,
+    OcSpaceDistr,
+    UniformDistr,
+    effective_number,
+    places_of,
+)
 from djpt.integrators.projective.reattach import has_mirrors
 from djpt.integrators.projective.smooth_chains import Chains, random_turns
 from djpt.jit.kernels import power_of_two
@@ -58,7 +64,7 @@ class FilmEdges:
             return
         with dr.suspend_grad():
             points, mass = self._random_lines(seed, FEW_LINES)
-            lines, known = dr.width(points), _effective_number(mass)
+            lines, known = dr.width(points), effective_number(mass)
             if known < ENOUGH and lines < MOST_LINES:
                 wanted = power_of_two(int(lines * ENOUGH / known)) if known else MOST_LINES
                 points, mass = self._random_lines(seed, min(wanted, MOST_LINES))
@@ -126,9 +132,3 @@ class FilmEdges:
         at = Point2f(dr.detach(place(found, Float(0))))
         shown = (at.x >= 0) & (at.y >= 0) & (at.x < window.x) & (at.y < window.y)
         return value, dr.select(shown, mass, 0), at
-
-
-def _effective_number(mass: Float) -> float:
-    """The number of equal masses whose mean varies as much: the square of the sum over the sum of squares."""
-    values = np.asarray(mass, np.float64)  # summed up in one order, whatever the number of threads
-    return float(values.sum() ** 2 / np.square(values).sum()) if values.any() else 0.0

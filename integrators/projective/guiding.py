@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import drjit as dr
+import numpy as np
 
 from djpt.distributions.distributions_1d import DiscreteDistribution
 from djpt.errors import RenderError
@@ -18,7 +19,16 @@ from djpt.integrators.projective.spread import spread
 from djpt.jit.kernels import power_of_two
 from djpt.jit.types import Bool, Float, Point3f, UInt32, Vector3f, backend
 
-__all__ = ["UNIFORM_SHARE", "BaseGuidingDistr", "GridDistr", "OcSpaceDistr", "UniformDistr", "padded", "places_of"]
+__all__ = [
+    "UNIFORM_SHARE",
+    "BaseGuidingDistr",
+    "GridDistr",
+    "OcSpaceDistr",
+    "UniformDistr",
+    "effective_number",
+    "padded",
+    "places_of",
+]
 
 Array3u = backend.Array3u
 
@@ -43,6 +53,15 @@ def shares(mass: Float, volume: Float, uniform_share: float) -> Float:
         uniform_share: the probability of the choice by volume; with 0 boxes without mass are never chosen.
     """
     return mass if uniform_share == 0 else dr.fma(mass / dr.sum(mass), 1 - uniform_share, volume * uniform_share)
+
+
+def effective_number(mass: Float) -> float:
+    """The number of points in proportion to m that are as good as points of masses m; 0 without mass.
+
+    It is the square of the sum over the sum of the squares.
+    """
+    values = np.asarray(mass, np.float64)  # summed up in one order, whatever the number of threads
+    return float(values.sum() ** 2 / np.square(values).sum()) if values.any() else 0.0
 
 
 def padded(mass: Float) -> Float:

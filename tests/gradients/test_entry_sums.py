@@ -18,18 +18,20 @@ from djpt.rendering.gradients.entry_sums import CalledSums, ScatteredSums, prove
 from tests.kit.textured_room import FLOOR, bitmap, room, texels
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture
 def calls() -> Iterator[None]:
     if not usable(4):
         pytest.skip("kernels make no calls here")
     yield
 
 
+@pytest.mark.usefixtures("calls")
 @pytest.mark.parametrize("size", [1, 2, 4])
 def test_known_sums(size: int) -> None:
     assert proved(size)
 
 
+@pytest.mark.usefixtures("calls")
 @pytest.mark.parametrize("copies", [1, 2, 5])
 @pytest.mark.parametrize("channels", [1, 3])
 def test_threads_that_add_to_the_same_entries(channels: int, copies: int) -> None:
@@ -57,12 +59,14 @@ MIXED = 2654435761
 """A factor after which the upper bits of numbers seem random."""
 
 
-@pytest.mark.parametrize("calls", [True, False])
-def test_sums_of_few_texels_do_not_stagnate(calls: bool) -> None:
+@pytest.mark.parametrize("by_calls", [True, False])
+def test_sums_of_few_texels_do_not_stagnate(by_calls: bool, request: pytest.FixtureRequest) -> None:
     """Most derivatives are small: one number in float, to which all lanes add, would miss them."""
+    if by_calls:
+        request.getfixturevalue("calls")
     lanes, turns = 2**22, 8
     buffer = Buffer([dr.zeros(TensorXf, (1, 2, 1))], [0])
-    sums: Any = CalledSums(buffer, lanes, 2) if calls else ScatteredSums(buffer, lanes)
+    sums: Any = CalledSums(buffer, lanes, 2) if by_calls else ScatteredSums(buffer, lanes)
     lane = dr.arange(UInt32, lanes)
     entry = dr.power(Float((lane * MIXED) >> 8) * 2**-24, 16)
 
@@ -105,6 +109,7 @@ def ball(x: float, y: float) -> dict[str, Any]:
     return {"type": "sphere", "radius": 0.25, "center": [x, y, 0], "bsdf": {"type": "diffuse"}}
 
 
+@pytest.mark.usefixtures("calls")
 @pytest.mark.parametrize("channels", [1, 3])
 @pytest.mark.parametrize("keys", [{}, {"filter_type": "nearest"}], ids=["bilinear", "nearest"])
 @pytest.mark.sparse(4)
@@ -135,6 +140,7 @@ def test_gradients_by_either_way(keys: dict[str, Any], channels: int, monkeypatc
     assert np.abs(called).max() > 0
 
 
+@pytest.mark.usefixtures("calls")
 def test_tables_too_large_for_copies() -> None:
     buffer = Buffer([dr.zeros(TensorXf, (64, 64, 3))], [0])
     with pytest.MonkeyPatch.context() as patch:

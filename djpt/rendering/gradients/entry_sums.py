@@ -23,7 +23,7 @@ from djpt.jit.llvm.lanes import lane_count
 from djpt.jit.types import Bool, Float, TensorXf, UInt32
 from djpt.rendering.gradients.entry_function import ADD_ENTRIES, AT_ONCE, HEADER, LARGEST, entry_function
 
-__all__ = ["EntrySums", "Read", "entry_sums", "prepare_functions"]
+__all__ = ["EntrySums", "Read", "Repeated", "entry_sums", "prepare_functions", "summed"]
 
 MOST = 2**24
 """The numbers of all copies of the sums together, 64 MiB."""
@@ -31,9 +31,9 @@ MOST = 2**24
 SHARED_BY = 4
 """As many threads may share a copy: of eight turns of a loop in one a thread has taken one."""
 
-FEWEST = 2**10
-"""The entries of a copy. Smaller tables are repeated within each, and lanes add to them in turn: one number in float
-that all lanes of a pass add to stagnates, and was 0.2 % too small after 2^21 lanes."""
+FEWEST, PACKET = 2**10, 16
+"""The entries of a copy, and the lanes that add to a repeat in turn: smaller tables are repeated within each. One
+number in float that all lanes of a pass add to stagnates, and was 0.2 % too small after 2^21 lanes."""
 
 CHANNELS = {1: 1, 2: 2, 4: 3}
 """The channels of an entry that is tried, by its size."""
@@ -66,12 +66,17 @@ def entry_sums(buffer: Buffer, lanes: int) -> EntrySums:
 
 
 class Repeated:
-    """The places of a table that is repeated in memory."""
+    """The places of a small table that is repeated in memory.
 
-    def __init__(self, buffer: Buffer, lanes: int) -> None:
-        self.count = repeats_of(buffer)
-        self._turn = dr.arange(UInt32, lanes) & dr.opaque(UInt32, self.count - 1)
-        self._entries = dr.opaque(UInt32, buffer.size // buffer.entry_size)
+    Args:
+        entries: the entries of the table.
+        lanes: the lanes of the kernel that adds to it.
+    """
+
+    def __init__(self, entries: int, lanes: int) -> None:
+        self.count = repeats(entries)
+        self._turn = dr.arange(UInt32, lanes) // PACKET & dr.opaque(UInt32, self.count - 1)
+        self._entries = dr.opaque(UInt32, entries)
 
     def address(self, address: UInt32) -> UInt32:
         """The address in the repeat whose turn it is in each lane."""
@@ -84,7 +89,7 @@ class ScatteredSums:
     calls = False
 
     def __init__(self, buffer: Buffer, lanes: int) -> None:
-        self._buffer, self._repeated = buffer, Repeated(buffer, lanes)
+        self._buffer, self._repeated = buffer, Repeated(entries_of(buffer), lanes)
         self._memory = dr.zeros(Float, self._repeated.count * buffer.size)
 
     def add(self, entries: Sequence[Read], active: Bool) -> Bool:
@@ -93,7 +98,7 @@ class ScatteredSums:
         return Bool(False)
 
     def total(self) -> Float:
-        return summed(self._buffer, self._memory, 0, self._repeated.count, 1, 0)
+        return summed(self._memory, self._buffer.size, self._repeated.count)
 
 
 class CalledSums:
@@ -104,13 +109,14 @@ class CalledSums:
     def __init__(self, buffer: Buffer, lanes: int, copies: int) -> None:
         # The last packet may have lanes beyond the last one.
         self._exist = dr.arange(UInt32, lanes) < dr.opaque(UInt32, lanes)
-        self._buffer, self._stride, self._repeated = buffer, stride_of(buffer), Repeated(buffer, lanes)
+        self._buffer, self._repeated = buffer, Repeated(entries_of(buffer), lanes)
+        self._copies, self._stride = copies, stride_of(buffer)
         self._memory = dr.opaque(Float, 0, copies * self._stride)
-        self._words, self._copies = dr.opaque(UInt32, self._stride), copies
+        self._words, self._count = dr.opaque(UInt32, self._stride), dr.opaque(Float, copies)
         self._code = function(buffer.entry_size)
 
     def add(self, entries: Sequence[Read], active: Bool) -> Bool:
-        taken, count = Bool(False), dr.opaque(Float, self._copies)
+        taken = Bool(False)
         active = active & self._exist
         for k in range(0, len(entries), AT_ONCE):
             indices, numbers = [], []
@@ -122,27 +128,36 @@ class CalledSums:
             numbers += [Float(0)] * (AT_ONCE * LARGEST - len(numbers))
             # Most lanes without a derivative have the same address: one addition would wait for the other.
             adds = active & any_number(numbers)
-            inputs = [Bool(False), adds, *numbers, count, indices[0], indices[-1], self._words]
+            inputs = [Bool(False), adds, *numbers, self._count, indices[0], indices[-1], self._words]
             # The function leaves the end of the "ray", the count, as it is: nothing is ever blocked.
             (blocked,) = call(self._code, self._memory, [dr.detach(x) for x in inputs], [Bool(False)], any_hit=True)
             taken |= adds & ~blocked
         return taken
 
     def total(self) -> Float:
-        return summed(self._buffer, self._memory, HEADER, self._repeated.count, self._copies, self._stride)
+        return summed(self._memory, self._buffer.size, self._repeated.count, HEADER, self._copies, self._stride)
 
 
-def summed(buffer: Buffer, memory: Float, first: int, repeats: int, copies: int, stride: int) -> Float:
-    """The sum over copies, each so many words after the one before, and over the repeats within each."""
-    index, words = dr.arange(UInt32, buffer.size) + dr.opaque(UInt32, first), dr.opaque(UInt32, buffer.size)
-    within, beyond, count = (dr.opaque(UInt32, n) for n in (repeats, stride, repeats * copies))
+def summed(memory: Float, size: int, within: int, first: int = 0, copies: int = 1, stride: int = 0) -> Float:
+    """The sums of `size` numbers over repeats in `memory`.
+
+    Args:
+        memory: the numbers.
+        size: how many there are.
+        within: how often they follow one another.
+        first: the place of the first one.
+        copies: how often that is so, ...
+        stride: ... each so many words after the one before.
+    """
+    index, words = dr.arange(UInt32, size) + dr.opaque(UInt32, first), dr.opaque(UInt32, size)
+    repeats, beyond, count = (dr.opaque(UInt32, n) for n in (within, stride, within * copies))
 
     def body(k: UInt32, total: Float) -> tuple[UInt32, Float]:
-        copy = k // within
-        place = index + copy * beyond + (k - copy * within) * words
+        copy = k // repeats
+        place = index + copy * beyond + (k - copy * repeats) * words
         return k + 1, total + dr.gather(Float, memory, place)
 
-    start = dr.zeros(UInt32, buffer.size), dr.zeros(Float, buffer.size)
+    start = dr.zeros(UInt32, size), dr.zeros(Float, size)
     _, total = while_loop(start, lambda k, total: k < count, body, label="entry sums")
     dr.eval(total)
     return total
@@ -158,12 +173,17 @@ def any_number(numbers: Sequence[Float]) -> Bool:
 
 def stride_of(buffer: Buffer) -> int:
     """The words of a copy, in whole cache lines."""
-    return HEADER + -(-repeats_of(buffer) * buffer.size // HEADER) * HEADER
+    return HEADER + -(-repeats(entries_of(buffer)) * buffer.size // HEADER) * HEADER
 
 
-def repeats_of(buffer: Buffer) -> int:
-    """How often a table stands in a copy, a power of two."""
-    return max(1, power_of_two(FEWEST * buffer.entry_size // buffer.size))
+def entries_of(buffer: Buffer) -> int:
+    """The entries of all its tensors."""
+    return buffer.size // buffer.entry_size
+
+
+def repeats(entries: int) -> int:
+    """How often a table of so many entries stands in a copy, a power of two."""
+    return power_of_two(FEWEST // entries)
 
 
 # ---- the function ----------------------------------------------------------------------------

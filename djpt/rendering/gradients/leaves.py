@@ -22,7 +22,7 @@ from djpt.dispatch.tables import Buffer, entry_size
 from djpt.errors import RenderError
 from djpt.jit.kernels import opaque
 from djpt.jit.types import Bool, Float, UInt32
-from djpt.rendering.gradients.entry_sums import EntrySums, entry_sums, prepare_functions
+from djpt.rendering.gradients.entry_sums import EntrySums, Repeated, entry_sums, prepare_functions, summed
 from djpt.scene.scene import Scene
 from djpt.sensors.base import Sensor
 
@@ -233,10 +233,6 @@ class LeafTable:
         return self.leaves.entry(self.leaf, self.slot, index, active)
 
 
-REPEATS, PACKET = 64, 16
-"""The sums of a number in memory, and the lanes that add to one of them in turn: one to which all add stagnates."""
-
-
 class Accumulator:
     """The sums of the leaves' gradients: in registers of each lane, or in memory if there are many.
 
@@ -254,8 +250,8 @@ class Accumulator:
             self._starts.append(self.size)
             self.size += 0 if parameter.is_table else parameter.size
         self.in_registers = sum(not parameter.is_table for parameter in parameters) <= MAX_CHAIN
-        self._memory = None if self.in_registers else dr.zeros(Float, self.size * REPEATS)
-        self._turn = dr.arange(UInt32, lanes) // PACKET % REPEATS
+        self._repeated = None if self.in_registers else Repeated(self.size, lanes)
+        self._memory = Float() if self._repeated is None else dr.zeros(Float, self.size * self._repeated.count)
         # Members without a parameter point beyond the end.
         self._start_of = {
             id(leaf): Numbers([self.size if n is None else self._starts[n] for n in numbering.of(leaf)])
@@ -280,14 +276,14 @@ class Accumulator:
         sums = list(sums)
         for leaf, slot, value in leaves.taken:
             gradient = components(dr.grad(value))
-            if self.in_registers:
+            if self._repeated is None:
                 for first, mine in self.places(leaf, slot):
                     for c, component in enumerate(gradient):
                         sums[first + c] = sums[first + c] + dr.select(mine & active, component, 0)
             else:
                 start = self._start_of[id(leaf)].at(slot)
                 for c, component in enumerate(gradient):
-                    at = (start + c) * REPEATS + self._turn
+                    at = self._repeated.address(start + c)
                     dr.scatter_add(self._memory, component, at, active & (start < self.size))
         for place, (_, _, entries) in self._tables.items():
             read = [(address, dr.grad(entry)) for leaf, address, entry in leaves.read if id(leaf) == place]
@@ -304,11 +300,11 @@ class Accumulator:
 
     def gradients(self, sums: list[Float]) -> list[Any]:
         """The finished gradients, one per parameter, of the parameters' types."""
-        if self.in_registers:
+        if self._repeated is None:
             totals = [dr.sum(s) for s in sums[: self.size]]
         else:
-            memory: Any = dr.block_sum(self._memory, REPEATS)
-            totals = [dr.gather(Float, memory, UInt32(i)) for i in range(self.size)]
+            total = summed(self._memory, self.size, self._repeated.count)
+            totals = [dr.gather(Float, total, UInt32(i)) for i in range(self.size)]
         dr.eval(totals)
         result: list[Any] = []
         for parameter, start in zip(self.parameters, self._starts, strict=True):
