@@ -14,7 +14,7 @@ import pytest
 
 pytest.register_assert_rewrite("tests.kit")
 
-from tests.kit.quick_kernels import gather_at_once, keep_apart, skip_passes, without_notes  # noqa: E402
+from tests.kit.quick_kernels import keep_apart, skip_passes, without_notes  # noqa: E402
 
 keep_apart()
 
@@ -27,7 +27,6 @@ from tests.kit.threads import threads  # noqa: E402
 
 skip_passes()
 lanes_from_environment()
-gather_at_once()
 
 # Processes that run tests side by side (`pytest -n`) share the processors: threads in excess of them take time from the
 # others, since they watch for work between kernels.

@@ -146,6 +146,10 @@ def load_backend() -> ModuleType:
     drjit = _import_drjit()
     if backend == "llvm":
         _check_llvm(drjit)
+        # It imports Dr.Jit.
+        from djpt.jit.llvm.gathers import gather_by_instruction
+
+        gather_by_instruction()
     elif not drjit.has_backend(drjit.JitBackend.CUDA):
         raise BackendError(
             f"variant {name!r} needs an NVIDIA GPU and a working CUDA driver, and Dr.Jit found none; "

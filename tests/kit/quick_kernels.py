@@ -2,9 +2,6 @@
 
 ``DJPT_TEST_QUICK=1 python -m pytest`` skips the passes of LLVM that only make code faster: Dr.Jit writes the same
 kernels, they compute the same numbers, and run two to three times as long. Compiling is most of the time of the tests.
-
-Where LLVM holds a processor's gathers for slow, as of AMD's with AVX2, it makes eight branches of each, and each branch
-takes time that goes with the length of what follows. Quick kernels gather by the instruction, which loads the same.
 """
 
 from __future__ import annotations
@@ -14,7 +11,7 @@ import os
 
 from tests.kit.processes import ROOT
 
-__all__ = ["VARIABLE", "gather_at_once", "keep_apart", "skip_passes", "without_notes"]
+__all__ = ["VARIABLE", "keep_apart", "skip_passes", "without_notes"]
 
 VARIABLE = "DJPT_TEST_QUICK"
 """The environment variable that asks for such kernels. Processes that a test starts compile as ever."""
@@ -42,22 +39,6 @@ def skip_passes() -> None:
         words = [option.encode() for option in ("tests", *OPTIONS)]
         arguments = (ctypes.c_char_p * len(words))(*words)
         ctypes.CDLL(path).LLVMParseCommandLineOptions(len(arguments), arguments, None)
-
-
-def gather_at_once() -> None:
-    """Tell LLVM that the processor's gathers are fast if `VARIABLE` is set; before the first kernel of the process."""
-    # These import Dr.Jit, of which `keep_apart` is to be ahead.
-    from djpt.jit.backends import VARIANTS, load_backend, variant
-    from djpt.jit.llvm.drjit_internals import function
-    from djpt.jit.llvm.lanes import lane_count, target
-
-    if not os.environ.get(VARIABLE) or VARIANTS[variant()] != "llvm":
-        return
-    load_backend()
-    processor, features, _ = target()
-    if "+avx2" in features:
-        function("set_target")(processor.encode(), ",".join((*features, "+fast-gather")).encode(), lane_count())
-        target.cache_clear()
 
 
 def without_notes(text: str) -> str:
