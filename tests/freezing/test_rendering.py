@@ -287,6 +287,46 @@ def test_shapes_must_be_moved_outside() -> None:
     assert "floor: shapes can't be edited while dr.freeze records a function" in str(causes(raised.value))
 
 
+MOVERS = ("small-box.vertex_positions", "light.to_world", "sensor.to_world")
+
+
+def moving(integrator: str, mover: str) -> djpt.Scene:
+    """A box in which something moves."""
+    scene = djpt.load_dict(box(8, integrator={"type": integrator, "max_depth": 3}))
+    params = djpt.traverse(scene)
+    dr.enable_grad(params[mover])
+    params.update()
+    return scene
+
+
+@pytest.mark.parametrize("integrator", ["direct_projective", "prb_projective"])
+@pytest.mark.parametrize("mover", MOVERS)
+def test_edges_that_move_are_refused(integrator: str, mover: str) -> None:
+    """Dr.Jit would end the process, since memory of NumPy's is released while it records."""
+    with pytest.raises(RuntimeError) as raised:
+        dr.freeze(image)(moving(integrator, mover), UInt32(0))
+    assert "a frozen function can't compute derivatives by motion" in str(causes(raised.value))
+
+
+@pytest.mark.parametrize("integrator", ["path", "prb", "volpath", "ptracer", "bdpt"])
+@pytest.mark.parametrize("mover", MOVERS)
+def test_other_derivatives_by_motion_are_the_same_or_refused(integrator: str, mover: str) -> None:
+    scene = moving(integrator, mover)
+    value = djpt.traverse(scene)[mover]
+
+    def gradient(scene: djpt.Scene, seed: UInt32) -> Any:
+        dr.backward(dr.mean(image(scene, seed), axis=None))
+        return dr.grad(value)
+
+    try:
+        found = dr.freeze(gradient)(scene, UInt32(0))
+    except RuntimeError as error:
+        assert isinstance(error.__cause__, djpt.errors.RenderError)
+        return
+    dr.set_grad(value, 0)
+    assert dr.allclose(found, gradient(scene, UInt32(0)))
+
+
 def test_a_seed_is_one_number() -> None:
     scene, frozen = djpt.load_dict(box(8)), dr.freeze(image)
     with pytest.raises(RuntimeError) as raised:

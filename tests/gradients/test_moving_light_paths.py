@@ -16,6 +16,7 @@ from djpt.errors import RenderError
 from djpt.jit.types import Float, Point3f, TensorXf
 from djpt.rendering.gradients import moving_light_paths
 from tests.kit.meshes import bumpy_sheet, write_binary_ply
+from tests.kit.renders import box
 
 SIZE, SPP, SEEDS = 12, 128, range(8)
 COLUMN = np.linspace(-1, 1, SIZE, dtype=np.float32)
@@ -224,4 +225,24 @@ def test_what_is_not_followed_is_refused(
     move(params, theta)
     params.update()
     with pytest.raises(RenderError, match=message):
+        dr.eval(djpt.render(rendered, params, spp=1))
+
+
+@pytest.mark.parametrize("integrator", ["ptracer", "bdpt"])
+@pytest.mark.parametrize(
+    ("light", "parameter"),
+    [
+        ({"type": "point", "position": [0, 0.5, 0.2]}, "position"),
+        ({"type": "spot", "to_world": T().look_at([0, 0.9, 0], [0, 0, 0], [0, 0, 1])}, "to_world"),
+        ({"type": "directional", "direction": [0, 0, -1]}, "to_world"),
+        ({"type": "projector", "to_world": T().look_at([0, 0, 3], [0, 0, 0], [0, 1, 0])}, "to_world"),
+        ({"type": "envmap", "bitmap": np.ones((4, 8, 3), np.float32)}, "to_world"),
+    ],
+)
+def test_light_paths_do_not_move_with_lights(integrator: str, light: dict[str, Any], parameter: str) -> None:
+    rendered = djpt.load_dict(box(8, integrator={**TRACER, "type": integrator}, edit=lambda d: d.update(moved=light)))
+    params = djpt.traverse(rendered)
+    dr.enable_grad(params[f"moved.{parameter}"])
+    params.update()
+    with pytest.raises(RenderError, match=r"'moved' moves with parameters .* that begin at it don't"):
         dr.eval(djpt.render(rendered, params, spp=1))

@@ -89,6 +89,13 @@ def derivative_of(samples: Job, schedule: Schedule, parameters: list[Parameter])
     if integrator.path_tracer is not integrator:
         return nested_derivative(samples, parameters)
     if integrator.starts_at_lights:
+        turned = next((emitter for emitter in samples.scene.emitters() if emitter.is_moving()), None)
+        if turned is not None:
+            raise RenderError(
+                f"'{turned.id()}' moves with parameters that have gradients, and paths of "
+                f"'{type(integrator).__name__}' that begin at it don't; possible: the integrators 'direct_projective' "
+                "and 'prb_projective'"
+            )
         # Few images need what follows light or wavefronts.
         moving = placing(samples.scene.shapes())
         if moving:

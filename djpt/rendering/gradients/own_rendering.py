@@ -6,6 +6,7 @@ from typing import Any
 
 import drjit as dr
 
+from djpt.errors import RenderError
 from djpt.jit.frozen import recording
 from djpt.jit.types import TensorXf
 from djpt.rendering.gradients.derivatives import attached_image, propagated
@@ -48,8 +49,18 @@ def image_by_itself(scene: Scene, params: Any, settings: RenderSettings) -> Tens
 
 
 def differentiated(scene: Scene, integrator: Any, sensor: Any) -> tuple[Scene, list[Parameter]]:
-    """The scene as it is differentiated, and the parameters with gradients."""
+    """The scene as it is differentiated, and the parameters with gradients.
+
+    Raises:
+        RenderError: Something moves, and a function frozen by `dr.freeze` is recorded.
+    """
     if moves(scene, sensor):
+        if recording() and (integrator.follows_silhouettes or integrator.follows_shapes or integrator.follows_camera):
+            raise RenderError(
+                f"{integrator.id()}: a frozen function can't compute derivatives by motion, since results of kernels "
+                "tell where edges and paths of light are; call it without dr.freeze, or let only materials, "
+                "textures and radiance have gradients in it"
+            )
         if not recording() and not integrator.unproven_gradients:
             warn_of_self_intersections(scene)
         scene = with_copies(scene)
