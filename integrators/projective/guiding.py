@@ -16,7 +16,6 @@ import numpy as np
 from djpt.distributions.distributions_1d import DiscreteDistribution
 from djpt.errors import RenderError
 from djpt.integrators.projective.spread import spread
-from djpt.jit.kernels import power_of_two
 from djpt.jit.types import Bool, Float, Point3f, UInt32, Vector3f, backend
 
 __all__ = [
@@ -65,8 +64,17 @@ def effective_number(mass: Float) -> float:
 
 
 def padded(mass: Float) -> Float:
-    """Probabilities, followed by zeros up to the next power of two: kernels know how many there are."""
-    return joined([mass], power_of_two(dr.width(mass)))
+    """Probabilities, followed by zeros: kernels know how many there are."""
+    return joined([mass], room(dr.width(mass)))
+
+
+def room(count: int) -> int:
+    """The smallest power of 16 that isn't less: the size of tables whose lengths vary from one image to the next.
+
+    Powers of two would often lie between two of these lengths, and kernels of tens of thousands of operations would be
+    compiled again.
+    """
+    return 16 ** (-(-max(count - 1, 0).bit_length() // 4))
 
 
 def joined(parts: Sequence[Float], size: int) -> Float:
@@ -276,7 +284,7 @@ class OcSpaceDistr(BaseGuidingDistr):
         self, aabb_min: Point3f, aabb_max: Point3f, seed: UInt32 | int, log: bool = False
     ) -> Float:
         """The mean of the imitated function in each leaf, from `extra_spc` random points."""
-        return self._values_in_leaves(aabb_min, aabb_max, seed, 1) / self.extra_spc
+        return self._values_in_leaves(aabb_min, aabb_max, seed, 1) / dr.opaque(Float, self.extra_spc)
 
     def _values_in_leaves(self, aabb_min: Point3f, aabb_max: Point3f, seed: UInt32 | int, power: int) -> Float:
         """The sum of a power of the imitated function at `extra_spc` random points of each leaf."""
@@ -284,7 +292,9 @@ class OcSpaceDistr(BaseGuidingDistr):
 
         sampler: Any = load_dict({"type": "independent"})
         sampler.seed(0xFFFFFFFF ^ seed, dr.width(aabb_min) * self.extra_spc)
-        low, high = dr.repeat(aabb_min, self.extra_spc), dr.repeat(aabb_max, self.extra_spc)
+        # Numbers that are written into a kernel make it a new one for each tree.
+        number = dr.arange(UInt32, dr.width(aabb_min) * self.extra_spc) // dr.opaque(UInt32, self.extra_spc)
+        low, high = dr.gather(Point3f, aabb_min, number), dr.gather(Point3f, aabb_max, number)
         value = self.eval_indirect_integrand_handle(dr.lerp(low, high, three(sampler)), sampler)[0]
         return dr.block_sum(dr.power(dr.max(value), power), self.extra_spc)
 
@@ -302,12 +312,12 @@ class OcSpaceDistr(BaseGuidingDistr):
             # Samples vary least if leaves are chosen by the root of the mean square. It counts leaves in which most
             # random points find nothing, and the points themselves know of more such leaves.
             # A kernel that sums up knows the size of the sums.
-            total, count = (dr.zeros(Float, power_of_two(dr.width(low))) for _ in range(2))
+            total, count = (dr.zeros(Float, room(dr.width(low))) for _ in range(2))
             dr.scatter_add(total, dr.square(dr.gather(Float, mass, kept)), leaf)
             dr.scatter_add(count, Float(1), leaf)
             number = dr.arange(UInt32, dr.width(low))
             known = self._values_in_leaves(low, high, seed, 2) + dr.gather(Float, total, number)
-            mean = dr.sqrt(known / (self.extra_spc + dr.gather(Float, count, number)))
+            mean = dr.sqrt(known / (dr.opaque(Float, self.extra_spc) + dr.gather(Float, count, number)))
         else:
             mean = self.estimate_mass_in_leaves(low, high, seed, log)
         size = high - low

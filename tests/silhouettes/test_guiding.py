@@ -11,6 +11,7 @@ import pytest
 import djpt
 from djpt.errors import RenderError
 from djpt.jit.types import Color3f, Float, Point3f, UInt32
+from tests.kit.kernels import kernels
 from tests.silhouettes.cases import FLOOR, LAMP, ball, sensor
 
 
@@ -46,12 +47,11 @@ def learnt_grid() -> Any:
     return grid
 
 
-def learnt_octree(**settings: Any) -> Any:
-    arguments = {"max_depth": 5, "max_leaf_count": 1 << 16, "extra_spc": 16, "clamp_mass_thres": 1e-8} | settings
-    tree = djpt.ad.OcSpaceDistr(
-        eval_indirect_integrand_handle=function, clamp_input_mass_thres=0.1, prepartition_x_slices=10, **arguments
-    )
-    source = sampler(20000, 3)
+def learnt_octree(lanes: int = 20000, **settings: Any) -> Any:
+    arguments = {"max_depth": 5, "max_leaf_count": 1 << 16, "extra_spc": 16, "clamp_mass_thres": 1e-8}
+    arguments |= {"clamp_input_mass_thres": 0.1, "prepartition_x_slices": 10, **settings}
+    tree = djpt.ad.OcSpaceDistr(eval_indirect_integrand_handle=function, **arguments)
+    source = sampler(lanes, 3)
     points = Point3f(source.next_1d(), source.next_1d(), source.next_1d())
     tree.set_points(points, function(points)[0].x)
     return tree
@@ -114,6 +114,23 @@ def test_octrees_that_cannot_be_built() -> None:
     tree = djpt.ad.guiding.OcSpaceDistr(5, 1000, 4, function, 0.1, 1e-8, 10)
     with pytest.raises(RenderError, match="no sample has mass above the threshold"):
         tree.set_points(Point3f(0.5), Float(0))
+
+
+def test_trees_of_all_sizes_share_kernels() -> None:
+    """Lengths of tables and numbers of points vary from one step of an optimisation to the next."""
+    leaves: list[int] = []
+
+    def learn(extra: int, lanes: int) -> set[str]:
+        def learnt() -> None:
+            tree = learnt_octree(lanes, extra_spc=extra, prepartition_x_slices=15, uniform_share=0.1)
+            leaves.append(dr.width(tree.lower))
+            dr.eval(tree.sample(sampler(1 << 10)))
+
+        return kernels(learnt)
+
+    known = learn(16, 5000)
+    assert not learn(32, 40000) - known
+    assert leaves[0] <= 8192 < leaves[1] <= 65536, "a power of two lies between"
 
 
 def test_guides_do_not_depend_on_earlier_images(monkeypatch: pytest.MonkeyPatch) -> None:
