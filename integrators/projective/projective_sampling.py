@@ -98,7 +98,7 @@ class PSIntegrator(RBIntegrator):
         self.proj_mesh_max_jump = 2
         self.octree_max_depth = 8
         self.octree_max_leaf_cnt = 2**24
-        self.octree_extra_leaf_sample = 32
+        self.octree_extra_leaf_sample = 8
         self.octree_highres_x_slices = 100
         self.octree_contruction_thres = 0.0
         self.octree_construction_mean_mult = 0.1

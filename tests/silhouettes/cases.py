@@ -128,9 +128,9 @@ class Case:
         """The integrator, with little effort for its guide unless `thorough`."""
         found = djpt.load_dict({"type": kind, "max_depth": self.depth, **self.settings})
         if not self.thorough:
-            found.proj_seed_spp, found.octree_extra_leaf_sample, found.octree_max_depth = 64, 32, 7
+            found.proj_seed_spp, found.octree_extra_leaf_sample, found.octree_max_depth = 64, 8, 7
         else:
-            found.proj_seed_spp, found.octree_extra_leaf_sample, found.octree_max_depth = 256, 128, 9
+            found.proj_seed_spp, found.octree_extra_leaf_sample, found.octree_max_depth = 256, 32, 9
         return found
 
     def forward(self, kind: str, seed: int) -> float:
