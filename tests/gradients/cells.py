@@ -129,8 +129,8 @@ class Cell:
         """A name among all cells."""
         return f"{self.group}: {self.name}, {self.integrator['type']}"
 
-    def measured(self, most: int | None = None) -> Outcome:
-        """The comparison of the derivative, of at most so many seeds, with differences."""
+    def measured(self, most: int | None = None, differences: int = DIFFERENCES) -> Outcome:
+        """The comparison of the derivative, of at most so many seeds, with differences, of `differences` as many."""
         most = most or self.seeds
         try:
             scene = Scene(self)
@@ -146,7 +146,7 @@ class Cell:
                 difference = abs(float(np.mean(found)) - wanted)
                 z = judged(self.label, *pair, CRITICAL, paired=False).z
                 close = difference <= self.accuracy.close * abs(wanted)
-                more = len(found) < most, len(expected) < DIFFERENCES * most
+                more = len(found) < most, len(expected) < differences * most
                 # The side with the larger error first; if that may have no more seeds, the other one can't help much.
                 noisier = int(errors[1] > errors[0])
                 exhausted = not more[noisier] and errors[1 - noisier] < 0.5 * errors[noisier]
