@@ -29,8 +29,10 @@ def target_of_llvm() -> Iterator[None]:
     processor, before, lanes = function("target_cpu")(), features(), function("vector_width")()
     own = [name for name in before if name != FAST]
     function("set_target")(processor, ",".join(own).encode(), lanes)
-    yield
-    function("set_target")(processor, ",".join(before).encode(), lanes)
+    try:
+        yield
+    finally:
+        function("set_target")(processor, ",".join(before).encode(), lanes)
 
 
 def gathered(lanes: int) -> tuple[np.ndarray, np.ndarray]:

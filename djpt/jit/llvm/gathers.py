@@ -21,8 +21,7 @@ def gather_by_instruction() -> None:
     # Without these functions kernels compute the same.
     if missing("target_cpu", "target_features", "set_target", "vector_width"):
         return
-    features = (function("target_features")() or b"").split(b",")
-    wider = b"+avx512f" in features
-    if b"+avx2" in features and not wider and FAST.encode() not in features:
-        set_target, lanes = function("set_target"), function("vector_width")()
-        set_target(function("target_cpu")(), b",".join([*features, FAST.encode()]), lanes)
+    features = (function("target_features")() or b"").decode().split(",")
+    if "+avx2" in features and not {"+avx512f", FAST} & set(features):
+        listed = ",".join([*features, FAST]).encode()
+        function("set_target")(function("target_cpu")(), listed, function("vector_width")())
