@@ -39,6 +39,7 @@ from inverse_shape import shape
 
 from djpt.apps.benchmarks.measuring import heading, machine
 from djpt.apps.optimization import least_squares, optimize
+from djpt.jit.llvm.gathers import gather_as_llvm_does
 from djpt.validation.bridge import mitsuba_scene, to_mitsuba
 
 PROBLEMS: dict[str, Callable[[], Problem]] = {
@@ -279,12 +280,13 @@ def solve(mi: Any, problem: Problem) -> Result:
     ours.best(1)  # compiles
     mine = ours.best(problem.iterations)
     print(f"djpt: {', '.join(f'{t:.2f} s {e:.3f}' for t, e in mine.points)}", file=sys.stderr, flush=True)
-    theirs.adam(problem.rates[0], 2)
+    their_adam = gather_as_llvm_does()(theirs.adam)
+    their_adam(problem.rates[0], 2)
     courses = list[Course]()
     # The middle first: it is often the fastest, and the others are given up when they take as long.
     for rate in (problem.rates[1], problem.rates[0], problem.rates[2]):
         fastest = min((course.seconds(TARGETS[-1]) for course in courses), default=LONGEST)
-        courses.append(theirs.adam(rate, problem.steps, min(fastest, LONGEST)))
+        courses.append(their_adam(rate, problem.steps, min(fastest, LONGEST)))
     last = mine.last if mine.last is not None else problem.start
     pictures = {
         "start": np.array(ours.picture(problem.start)),

@@ -30,6 +30,7 @@ from mesh_scenes import write_bumpy_sphere
 from djpt.apps.benchmarks.measuring import heading, machine
 from djpt.apps.optimization import Progressed, optimize
 from djpt.apps.optimization.gauss_newton import RATE
+from djpt.jit.llvm.gathers import gather_as_llvm_does
 from djpt.validation.bridge import mitsuba_scene, to_mitsuba
 
 KEY = "floor.bsdf.reflectance.data"
@@ -144,14 +145,14 @@ class Problem:
         return watch.found(ended[-1], len(ended), spp, RATE)
 
 
-def tuned(theirs: Problem, most: int) -> Found:
+def tuned(adam: Callable[..., Found], most: int) -> Found:
     """The best of Adam in Mitsuba: of all rates, then of all numbers of samples."""
-    theirs.adam(SAMPLES[0], RATES[0], 2)  # compiles
-    best = theirs.adam(SAMPLES[0], RATES[0], most)
+    adam(SAMPLES[0], RATES[0], 2)  # compiles
+    best = adam(SAMPLES[0], RATES[0], most)
     for rate in RATES[1:]:
-        best = min(best, theirs.adam(SAMPLES[0], rate, most, best.cpu), key=lambda found: found.cpu)
+        best = min(best, adam(SAMPLES[0], rate, most, best.cpu), key=lambda found: found.cpu)
     for spp in SAMPLES[1:]:
-        best = min(best, theirs.adam(spp, best.rate, most, best.cpu), key=lambda found: found.cpu)
+        best = min(best, adam(spp, best.rate, most, best.cpu), key=lambda found: found.cpu)
     return best
 
 
@@ -194,18 +195,19 @@ def main() -> int:
             dr.eval(targets)
             problems.append(Problem(module, loaded, targets, truth))
         ours, theirs = problems
-        for problem in problems:
-            problem.adam(chosen.spp, 0.05, 2)  # compiles
+        their_adam = gather_as_llvm_does()(theirs.adam)
+        for adam in (ours.adam, their_adam):
+            adam(chosen.spp, 0.05, 2)  # compiles
         same = [
-            (ours.adam(chosen.spp, 0.05, chosen.most), theirs.adam(chosen.spp, 0.05, chosen.most))
+            (ours.adam(chosen.spp, 0.05, chosen.most), their_adam(chosen.spp, 0.05, chosen.most))
             for _ in range(chosen.repeat)
         ]
         said("the same loop", kind, same, 0)
-        best = tuned(theirs, chosen.most)
+        best = tuned(their_adam, chosen.most)
         ours.gauss_newton(SAMPLES[0], 2)  # compiles
         fewest = min((ours.gauss_newton(spp, chosen.most) for spp in SAMPLES), key=lambda found: found.cpu).spp
         pairs = [
-            (ours.gauss_newton(fewest, chosen.most), theirs.adam(best.spp, best.rate, chosen.most))
+            (ours.gauss_newton(fewest, chosen.most), their_adam(best.spp, best.rate, chosen.most))
             for _ in range(chosen.repeat)
         ]
         met &= said("each as well as it can", kind, pairs, REQUIRED[kind])

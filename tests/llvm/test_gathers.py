@@ -2,37 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-
 import drjit as dr
 import numpy as np
 import pytest
 
 import djpt
 from djpt.jit.backends import VARIANTS, variant
-from djpt.jit.llvm.drjit_internals import function
-from djpt.jit.llvm.gathers import FAST, gather_by_instruction
+from djpt.jit.llvm.gathers import FAST, features, gather_as_llvm_does, gather_by_instruction
 from djpt.jit.types import Bool, Float, UInt32
 
 pytestmark = pytest.mark.skipif(VARIANTS[variant()] != "llvm", reason="kernels of processors")
-
-
-def features() -> list[str]:
-    found: bytes = function("target_features")()
-    return found.decode().split(",")
-
-
-@contextmanager
-def target_of_llvm() -> Iterator[None]:
-    """The features that LLVM itself gives the processor."""
-    processor, before, lanes = function("target_cpu")(), features(), function("vector_width")()
-    own = [name for name in before if name != FAST]
-    function("set_target")(processor, ",".join(own).encode(), lanes)
-    try:
-        yield
-    finally:
-        function("set_target")(processor, ",".join(before).encode(), lanes)
 
 
 def gathered(lanes: int) -> tuple[np.ndarray, np.ndarray]:
@@ -58,8 +37,11 @@ def test_they_are_asked_for_once() -> None:
 
 @pytest.mark.parametrize("lanes", [1, 5, 4096])
 def test_they_load_the_same(lanes: int) -> None:
-    with target_of_llvm():
+    before = features()
+    with gather_as_llvm_does():
+        assert FAST not in features()
         expected = gathered(lanes)
+    assert features() == before
     for found, of_llvm in zip(gathered(lanes), expected, strict=True):
         np.testing.assert_array_equal(found, of_llvm)
         assert not found[::3].any()

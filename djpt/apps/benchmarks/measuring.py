@@ -16,6 +16,7 @@ import drjit as dr
 
 import djpt
 from djpt.jit.backends import variant
+from djpt.jit.llvm.gathers import gather_as_llvm_does
 from djpt.jit.llvm.lanes import instruction_set, lane_count
 
 __all__ = ["CLOCKS", "heading", "machine", "seconds", "times_in_pairs"]
@@ -44,16 +45,24 @@ def times_in_pairs(
 ) -> list[tuple[float, float]]:
     """Measure interleaved calls: pairs of seconds, theirs and ours, after `warm_up` pairs. Each call gets a new seed.
 
-    There are fewer than `pairs`, but at least one, if they take longer than `limit` seconds together.
+    There are fewer than `pairs`, but at least one, if they take longer than `limit` seconds together. Kernels of
+    theirs are compiled as without djpt.
     """
+
+    def their_seconds(seed: int) -> float:
+        with gather_as_llvm_does():
+            return seconds(lambda: theirs(seed), clock)
+
+    def our_seconds(seed: int) -> float:
+        return seconds(lambda: ours(seed), clock)
+
     for seed in range(warm_up):
-        seconds(lambda seed=seed: ours(seed))  # type: ignore[misc]
-        seconds(lambda seed=seed: theirs(seed))  # type: ignore[misc]
+        our_seconds(seed)
+        their_seconds(seed)
     times: list[tuple[float, float]] = []
     while len(times) < pairs and sum(map(sum, times)) < limit:
         seed = len(times) + 2
-        their_time = seconds(lambda seed=seed: theirs(seed), clock)  # type: ignore[misc]
-        times.append((their_time, seconds(lambda seed=seed: ours(seed), clock)))  # type: ignore[misc]
+        times.append((their_seconds(seed), our_seconds(seed)))
     return times
 
 

@@ -12,7 +12,7 @@ import statistics
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -141,6 +141,13 @@ def kernels(into: dict[str, float]) -> Iterator[None]:
     into["compile"] = sum(entry.get("codegen_time", 0) + entry.get("backend_time", 0) for entry in history) / 1e3
 
 
+def compiling(renderer: str) -> AbstractContextManager[None]:
+    """Compile kernels inside as the renderer does; those of Mitsuba as without djpt."""
+    from djpt.jit.llvm.gathers import gather_as_llvm_does
+
+    return gather_as_llvm_does() if renderer == "mitsuba" else nullcontext()
+
+
 def agreed(results: Results, images: dict[str, Any]) -> bool:
     """Measure how far two images of one seed agree; whether they do, or can't be compared."""
     import numpy as np
@@ -178,8 +185,9 @@ def measure(results: Results, pair: Pair) -> None:
 
     def load(name: str) -> None:
         start = now()
-        scenes[name] = pair.load(name)
-        dr.sync_thread()
+        with compiling(name):
+            scenes[name] = pair.load(name)
+            dr.sync_thread()
         loads[name].append(now() - start)
 
     begun = time.perf_counter()
@@ -206,7 +214,8 @@ def measure(results: Results, pair: Pair) -> None:
     images: dict[str, Any] = {}
 
     def image(name: str, scene: Any) -> None:
-        images[name] = np.array(RENDERERS[name].render(scene, spp=spp, seed=0), np.float32)
+        with compiling(name):
+            images[name] = np.array(RENDERERS[name].render(scene, spp=spp, seed=0), np.float32)
 
     def first_image(name: str) -> None:
         start = now()
@@ -236,7 +245,7 @@ def measure(results: Results, pair: Pair) -> None:
     results.add(image=[list(times) for times in times])
     warm_kernels: dict[str, dict[str, float]] = {name: {} for name in RENDERERS}
     for name, render in (("djpt", ours), ("mitsuba", theirs)):
-        with kernels(warm_kernels[name]):
+        with compiling(name), kernels(warm_kernels[name]):
             warm_kernels[name]["wall"] = seconds(lambda render=render: render(1))  # type: ignore[misc]
     results.add(kernels=warm_kernels)
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 from djpt.jit.llvm.drjit_internals import function, missing
 
-__all__ = ["gather_by_instruction"]
+__all__ = ["gather_as_llvm_does", "gather_by_instruction"]
 
 FAST = "+fast-gather"
 """LLVM's name of the feature: gathers are faster than a load per lane."""
@@ -18,10 +21,37 @@ def gather_by_instruction() -> None:
     kernels with hundreds of gathers compile in a third to a twelfth of the time with the instruction. They run as fast
     or faster, and compute the same bits. Dr.Jit must have loaded LLVM.
     """
+    listed = features()
+    if "+avx2" in listed and not {"+avx512f", FAST} & set(listed):
+        compile_for([*listed, FAST])
+
+
+@contextmanager
+def gather_as_llvm_does() -> Iterator[None]:
+    """Compile kernels inside with the gathers that LLVM chooses by itself.
+
+    What `gather_by_instruction` asks for holds for all kernels of the process, those of other programs included, and
+    makes Mitsuba faster. Comparisons of speed measure it as it is without djpt.
+    """
+    listed = features()
+    if FAST not in listed:
+        yield
+        return
+    compile_for([name for name in listed if name != FAST])
+    try:
+        yield
+    finally:
+        compile_for(listed)
+
+
+def features() -> list[str]:
+    """The features that kernels are compiled for; none if Dr.Jit lacks the functions to change them."""
     # Without these functions kernels compute the same.
     if missing("target_cpu", "target_features", "set_target", "vector_width"):
-        return
-    features = (function("target_features")() or b"").decode().split(",")
-    if "+avx2" in features and not {"+avx512f", FAST} & set(features):
-        listed = ",".join([*features, FAST]).encode()
-        function("set_target")(function("target_cpu")(), listed, function("vector_width")())
+        return []
+    return (function("target_features")() or b"").decode().split(",")
+
+
+def compile_for(listed: list[str]) -> None:
+    """Compile kernels from now on for a processor with other features."""
+    function("set_target")(function("target_cpu")(), ",".join(listed).encode(), function("vector_width")())
