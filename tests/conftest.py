@@ -42,7 +42,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 TESTS = Path(__file__).parent
 LONGEST = (
     *("gradients/test_matrix", "silhouettes/test_cases", "schedules/test_memory", "integrators/test_upbp"),
-    *("gradients/test_random_scenes", "gradients/test_block_maps"),
+    *("silhouettes/test_other_viewers", "gradients/test_random_scenes", "gradients/test_block_maps"),
     *("validation/test_gradcheck", "gradients/test_materials", "materials/test_sampling", "docs/test_command_line"),
     *("integrators/test_same_seed", "docs/test_pages", "integrators/test_bdpt", "integrators/test_photon_mapping"),
     *("commands/test_ladder_page", "integrators/test_guided", "gradients/test_images", "materials/test_principled"),

@@ -49,6 +49,7 @@ def command(kind: str, address: str, folder: Path) -> list[str]:
     return render if kind == "render" else ["worker", address, "--threads", "1"]
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("kind", ["render", "worker"])
 @pytest.mark.parametrize("place", [closed, silent])
 def test_without_a_scheduler_it_says_so(kind: str, place: object, tmp_path: Path) -> None:
@@ -83,6 +84,7 @@ def test_signals_end_waiting_for_a_scheduler(kind: str, number: signal.Signals, 
             assert time.monotonic() - start < 3
 
 
+@pytest.mark.sparse(2)
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signals_end_waiting_for_workers(number: signal.Signals, tmp_path: Path) -> None:
     with distributed.LocalCluster(n_workers=0, dashboard_address=None, protocol="tcp://", host="127.0.0.1") as cluster:

@@ -46,7 +46,7 @@ def test_derivatives_are_right(label: str) -> None:
 
 
 @pytest.mark.parametrize("label", SCENES)
-@pytest.mark.sparse(2)
+@pytest.mark.sparse(4)
 def test_cameras_before_scenes_are_right_within_the_noise_of_few_samples(label: str) -> None:
     outcome = replace(CELLS[label], spp=64, spp_difference=256).measured(SEEDS)
     assert outcome.verdict in ("right", "noisy"), outcome

@@ -42,18 +42,24 @@ QUICK = {
     "a camera, turn: a furrow": "direct_projective",
     "the shadow of strands in the light of a point": "direct_projective",
 }
-"""What runs before a commit; all else is slow."""
+"""What runs before a commit, with few samples; all is run with as many as it asks for by the slow tests."""
 
-EACH = [
-    pytest.param(name, kind, marks=() if QUICK.get(name) == kind else pytest.mark.slow)
-    for name, case in CASES.items()
-    for kind in case.kinds
-]
+FEW, FEW_OF_DIFFERENCES = 256, 4096
+
+EACH = [(name, kind) for name, case in CASES.items() for kind in case.kinds]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "kind"), EACH)
 def test_derivatives_are_those_of_differences(name: str, kind: str) -> None:
     CASES[name].check(kind, name)
+
+
+@pytest.mark.parametrize(("name", "kind"), QUICK.items())
+def test_some_are_so_within_the_noise_of_few_samples(name: str, kind: str) -> None:
+    case = CASES[name]
+    spp, spp_difference = min(case.spp, FEW), min(case.spp_difference, FEW_OF_DIFFERENCES)
+    replace(case, spp=spp, spp_difference=spp_difference).check(kind, name)
 
 
 def test_a_mirror_shows_edges_where_they_would_be_behind_it() -> None:
