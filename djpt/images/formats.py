@@ -345,10 +345,11 @@ def _save(file: Path | IO[bytes], pixels: Bytes, **options: Any) -> None:
     """Encode a picture in memory, then write it: Pillow's own writing to files misses that a disk is full."""
     encoded = io.BytesIO()
     _picture(pixels).save(encoded, **options)
+    # Not its buffer, which an error of writing would keep: Python 3.13 prints another one then.
     if isinstance(file, Path):
-        file.write_bytes(encoded.getbuffer())
+        file.write_bytes(encoded.getvalue())
     else:
-        file.write(encoded.getbuffer())
+        file.write(encoded.getvalue())
 
 
 def _as_bytes(image: npt.NDArray[Any]) -> Bytes:

@@ -76,7 +76,8 @@ def directions(a: Any, b: Any) -> Iterator[Floats]:
         if shape.plane() is not None:
             yield shape.plane()[0]
     (low_a, high_a), (low_b, high_b) = a.world_box(), b.world_box()
-    across = low_a + high_a - low_b - high_b
+    with np.errstate(invalid="ignore"):  # of infinite planes
+        across = low_a + high_a - low_b - high_b
     if np.isfinite(across).all() and across.any():
         yield across / np.linalg.norm(across)
     # A spiral over half of the sphere, in golden angles.
