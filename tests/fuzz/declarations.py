@@ -71,7 +71,8 @@ def learn(plugin: str) -> tuple[Declaration, ...]:
     while len(found) > before:
         before = len(found)
         entries = {d.key: example(d) for d in found.values() if d.required} | NEEDED.get(plugin, {})
-        with watching(plugin, found), contextlib.suppress(djpt.DjptError), warnings.catch_warnings(action="ignore"):
+        with watching(plugin, found), contextlib.suppress(djpt.DjptError), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
             djpt.load_dict({"type": plugin, **entries})
     return tuple(found[key] for key in sorted(found))
 

@@ -20,6 +20,8 @@ from djpt.validation.names import Finding, Verdict, counts, findings, read_names
 from djpt.validation.names.__main__ import PAGE
 from djpt.validation.names.compare import MISSING, look_up, parse, refused_call, signatures
 
+reads_overloads = pytest.mark.skipif(sys.version_info < (3, 11), reason="overloads can be read from Python 3.11 on")
+
 
 def refused(theirs: str, ours: str) -> str | None:
     return refused_call([parse(theirs)], [parse(ours)])
@@ -160,10 +162,12 @@ sys.stdout.write(render_page(findings(mitsuba, djpt)))
 """
 
 
+@reads_overloads
 def test_no_name_has_gone(page: str) -> None:
     assert sorted(set(read_names(PAGE.read_text())) - set(read_names(page))) == []
 
 
+@reads_overloads
 def test_the_page_is_up_to_date(page: str) -> None:
     """`python -m djpt.validation.names --write` renews it."""
     assert PAGE.read_text() == page
@@ -175,6 +179,7 @@ def test_every_reason_is_needed(found: list[Finding]) -> None:
     assert [pattern for pattern in REASONS if not any(fnmatchcase(path, pattern) for path in excluded)] == []
 
 
+@reads_overloads
 def test_forms_and_overloads_are_read() -> None:
     @forms("a b", "a c | d")
     def function(*, a: int, b: int = 0, c: int = 0, d: int = 0) -> None: ...

@@ -257,7 +257,8 @@ class Session:
         waiting = self.waits
         for _ in range(MESSAGES):
             try:
-                self.take(inbox.get(waiting, patience))
+                # In Python 3.10 a `SimpleQueue` that is to block for 0 seconds may do so for ever.
+                self.take(inbox.get(waiting and patience > 0, patience))
                 waiting = False
             except queue.Empty:
                 break
