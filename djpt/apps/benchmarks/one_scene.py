@@ -20,6 +20,7 @@ from typing import Any
 import djpt
 from djpt.apps.benchmarks.measuring import CLOCKS, seconds, times_in_pairs
 from djpt.jit.backends import load_backend, variant
+from djpt.jit.llvm.gathers import gather_as_llvm_does
 from djpt.scenes.overrides import described
 
 __all__ = ["Options", "main"]
@@ -143,8 +144,6 @@ def kernels(into: dict[str, float]) -> Iterator[None]:
 
 def compiling(renderer: str) -> AbstractContextManager[None]:
     """Compile kernels inside as the renderer does; those of Mitsuba as without djpt."""
-    from djpt.jit.llvm.gathers import gather_as_llvm_does
-
     return gather_as_llvm_does() if renderer == "mitsuba" else nullcontext()
 
 
