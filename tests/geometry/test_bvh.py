@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import itertools
+import platform
 import subprocess
 import sys
 import time
@@ -328,6 +329,7 @@ def test_a_million_triangles_take_three_seconds_and_300_mebibytes() -> None:
     assert mebibytes < 300
 
 
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="measured on x86-64; others may be emulated")
 def test_a_hundred_thousand_triangles_take_less_than_a_second() -> None:
     low, high = boxes(sphere(100_000))
     start = time.process_time()

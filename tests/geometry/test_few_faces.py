@@ -21,9 +21,12 @@ from djpt.jit.types import Bool, Float, Point3f, Vector3f
 
 Floats = NDArray[np.float64]
 
+SEARCHES = [search for search in searches.SEARCHES if searches.why_not(search) is None]
+FASTEST = SEARCHES[0] if SEARCHES else "call"
+
 pytestmark = [
     pytest.mark.narrow,
-    pytest.mark.skipif(all(searches.why_not(search) for search in searches.SEARCHES), reason="calls don't work here"),
+    pytest.mark.skipif(not SEARCHES, reason="calls don't work on this machine"),
 ]
 
 RNG = np.random.default_rng(3)
@@ -142,7 +145,7 @@ def assert_same_hits(swept: djpt.Scene, searched: djpt.Scene, ray: Ray3f, least:
 
 
 def test_hits_are_those_of_the_tree() -> None:
-    swept, searched, ray = scene("auto", **room()), scene("rings", **room()), random_rays()
+    swept, searched, ray = scene("auto", **room()), scene(FASTEST, **room()), random_rays()
     assert is_swept(swept) and not is_swept(searched)
     assert_same_hits(swept, searched, ray, least=0.9999)
 
@@ -166,7 +169,7 @@ def test_no_ray_slips_through_an_edge(points: Floats, indices: NDArray[Any]) -> 
     ray = rays(origins, a * share + b * (1 - share) + near)
     ray.d *= 2
     assert dr.all(tree_of(loaded).search(ray, True).record != NONE)
-    assert_same_hits(loaded, scene("rings", m=mesh(points, indices)), ray, least=0.3)
+    assert_same_hits(loaded, scene(FASTEST, m=mesh(points, indices)), ray, least=0.3)
 
 
 def test_rays_pass_through_lights_where_asked() -> None:
@@ -214,7 +217,7 @@ def test_images_are_those_of_the_tree() -> None:
     nodes = {"sensor": {"type": "perspective", "fov": 70, "to_world": view, "film": film}}
     images = [
         np.array(djpt.render(scene(ways, integrator={"type": "path"}, **nodes, **room(**shining())), spp=16, seed=1))
-        for ways in ("auto", "rings")
+        for ways in ("auto", FASTEST)
     ]
     assert images[0].mean() > 0.02
     # A path that hits an edge may go on with the other face.
